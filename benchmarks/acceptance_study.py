@@ -15,16 +15,14 @@ from ambrose.annexes.site.acceptance import accept
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
-from ambrose.identification.validation.operating_load import machine_at_load
-from ambrose.law.loop import running_law
-from ambrose.law.timing import Timing, timing_of
+from ambrose.identification.validation.places import machine_at_load
+from ambrose.law.loop import Timing, running_law, timing_of
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.stator import Runout
+from ambrose.machine.part import Runout
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import top_speed
-from ambrose.model.reduce import free_mode_reduction
-from ambrose.rig.disturbances import Unbalance
-from ambrose.rig.scenario import load_scenario
+from ambrose.model.uncertainty import free_mode_reduction
+from ambrose.rig.scenario import Unbalance, load_scenario
 
 CASES = (  # machine, share of the top speed, balance grade [m/s]
     ("seal-rig", 0.0, 0.0),

@@ -15,13 +15,11 @@ import numpy as np
 from ambrose import assemble, load_machine
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace, select
-from ambrose.law.loop import closed_loop
+from ambrose.law.loop import Timing, closed_loop
 from ambrose.law.pid import pid_controller
-from ambrose.law.timing import Timing
 from ambrose.model.plant import Plant
 from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import Sine
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Scenario, Sine
 
 AMPLITUDE = 2e-7  # m: the magnets stay linear within 0.1 %
 # evaluated periods; seconds before them (of the PID's slow integral pole little is left)

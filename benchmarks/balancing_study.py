@@ -11,13 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 import ambrose as amb
-from ambrose.annexes.site.balancing.correction import balance
-from ambrose.annexes.site.balancing.vectors import once_per_turn, revolution
-from ambrose.machine.stator import Runout
+from ambrose.annexes.site.balancing import balance, once_per_turn, revolution
+from ambrose.machine.part import Runout
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
 from ambrose.model.plant import top_speed
-from ambrose.rig.disturbances import Unbalance
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Scenario, Unbalance
 
 CASES = {  # planes; shares of the balancing speed, the first of them slow roll
     "turbomolecular-pump": (("bell", "fore-vacuum"), (0.05, 0.6, 1.0)),

@@ -13,8 +13,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from ambrose.annexes.campaigns.plan import plan_of
-from ambrose.annexes.campaigns.run import bases_of, fixed_of
-from ambrose.annexes.campaigns.tasks import PEAK, compute
+from ambrose.annexes.campaigns.run import PEAK, bases_of, compute, fixed_of
 
 _HEAD = {"machine": "seal-rig", "controller": "pid"}
 _TASKS = (

@@ -22,13 +22,12 @@ import numpy as np
 
 from ambrose import design as tuned
 from ambrose import load_machine
-from ambrose.code.block.fixed import ControlBlock, build_block
+from ambrose.code.block.block import ControlBlock, build_block
 from ambrose.code.block.fixed_point import to_fixed_point
-from ambrose.code.block.scheduled import build_scheduled_block
-from ambrose.code.block.supervised import supervise
+from ambrose.code.block.scheduled import build_scheduled_block, supervise
 from ambrose.code.c.code import Arithmetic, generate
 from ambrose.code.c.compiled import CompiledBlock, read_law
-from ambrose.code.fmu.archive import generate_fmus
+from ambrose.code.fmu import generate_fmus
 from ambrose.code.mat import generate_mat
 from ambrose.code.pipeline import machine_limits
 from ambrose.code.sampled import Deployment, deploy, deploy_scheduled

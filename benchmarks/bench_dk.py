@@ -21,9 +21,9 @@ from ambrose.core.statespace import StateSpace, is_stable
 from ambrose.law.design_problem import design_plant, with_performance_block
 from ambrose.machine.parameters import operating_point
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import reduce
 from ambrose.synthesis.fixed_order.polish import polish_synthesis
-from ambrose.synthesis.mu.synthesis import mu_synthesis
+from ambrose.synthesis.mu import mu_synthesis
 from benchmarks.published_p5 import published_p5_problem
 
 

@@ -16,14 +16,14 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
-from ambrose.identification.frf import spectral as frf
-from ambrose.identification.frf.phasors import steps_of
-from ambrose.identification.seal import stepped_sine
+from ambrose.identification import frf_spectral as frf
+from ambrose.identification.frf import steps_of
+from ambrose.identification.seal import by_frequency as stepped_sine
 from ambrose.law.loop import closed_loop
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.record.record import Record
 from benchmarks import waveforms
 

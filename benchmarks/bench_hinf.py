@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.hinf.scaling import scale_plant
+from ambrose.core.hinf_riccati import scale_plant
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import StateSpace
 from ambrose.judge.result import Synthesis
-from ambrose.synthesis.hinf.synthesis import hinf_synthesis
+from ambrose.synthesis.hinf import hinf_synthesis
 from benchmarks.published_p5 import published_p5_problem
 
 
@@ -124,7 +124,7 @@ def _against_slicot(
 
 
 def _against_inequalities(name: str, plant: GeneralizedPlant, repeats: int) -> dict[str, Any]:
-    from ambrose.core.hinf.lmi import smallest_gamma
+    from ambrose.core.hinf_lmi import smallest_gamma
 
     ours, result = _timed(lambda: hinf_synthesis(plant, tolerance=1e-5), repeats)
     scaled = scale_plant(plant)

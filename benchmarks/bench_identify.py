@@ -34,7 +34,7 @@ from ambrose.identification.parameters import expand, nominal_values
 from ambrose.law.loop import closed_loop
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.record.record import Record
 from ambrose.synthesis.pid import pid_synthesis
 from benchmarks import waveforms

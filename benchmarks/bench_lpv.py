@@ -17,14 +17,13 @@ from typing import Any
 import numpy as np
 
 from ambrose import load_machine
-from ambrose.annexes.scheduled.lpv.family import scaled_family
-from ambrose.annexes.scheduled.lpv.inequalities import Shape, program
+from ambrose.annexes.scheduled.lpv.family import Shape, program, scaled_family
 from ambrose.annexes.scheduled.lpv.machine import plants_along
 from ambrose.annexes.scheduled.lpv.synthesis import lpv_synthesis
 from ambrose.core.lft import GeneralizedPlant
-from ambrose.core.matrix_inequalities.semidefinite import Inequality, minimise
+from ambrose.core.matrix_inequalities import Inequality, minimise
 from ambrose.core.statespace import StateSpace
-from ambrose.law.scheduling import BOTH, SPEED, Scheduling
+from ambrose.law.law import BOTH, SPEED, Scheduling
 from ambrose.machine.parameters import operating_point
 from ambrose.model.assemble import assemble
 

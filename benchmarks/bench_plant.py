@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ambrose import load_machine
-from ambrose.chain.plants import facts
+from ambrose.chain.stages import facts
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import poles, select
 from ambrose.judge import nominal
@@ -24,7 +24,7 @@ from ambrose.law.loop import closed_loop
 from ambrose.law.pid import pid_controller
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import modal_reduction
+from ambrose.model.uncertainty import modal_reduction
 from ambrose.synthesis.design import design
 
 

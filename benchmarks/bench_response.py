@@ -18,12 +18,12 @@ from ambrose.core.response import SystemDerivative, held_derivative, impulse_res
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, select
-from ambrose.identification.output_error.lifted import lift, stream
+from ambrose.identification.output_error.normal_equations import lift, stream
 from ambrose.law.loop import closed_loop
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.record.files import read_record, write_record
 from ambrose.record.record import Record
 from ambrose.rig import linear

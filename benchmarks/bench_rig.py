@@ -23,12 +23,11 @@ from ambrose.model.effects import amplifier, magnet, seal
 from ambrose.model.plant import top_speed
 from ambrose.record.record import Record
 from ambrose.rig import all_axes, virtual_rig
-from ambrose.rig.disturbances import Prbs, Sine, Unbalance
 from ambrose.rig.engine.controller import sampled_law
 from ambrose.rig.engine.equilibrium import levitated_state, measurement
 from ambrose.rig.engine.inputs import Drive, plan, stretch
 from ambrose.rig.engine.state import Rig, build, compiled
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Prbs, Scenario, Sine, Unbalance
 
 DT = 1e-4
 LENGTH = 10.0  # simulated seconds

@@ -18,10 +18,10 @@ import numpy as np
 
 from ambrose import load_machine
 from ambrose.core.frequency import evaluate, schur_form
-from ambrose.core.worst_case.bounds import gain_bound
-from ambrose.core.worst_case.crossing import box_margin
-from ambrose.core.worst_case.loop import (
+from ambrose.core.worst_case import gain_bound, worst_gain
+from ambrose.core.worst_case_loop import (
     BoxLoop,
+    box_margin,
     corners,
     default_grid,
     gains,
@@ -29,11 +29,10 @@ from ambrose.core.worst_case.loop import (
     sweep,
     unstable_poles,
 )
-from ambrose.core.worst_case.search import worst_gain
 from ambrose.judge import robust
 from ambrose.machine.parameters import operating_point
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import reduce
 from ambrose.synthesis.pid import pid_synthesis
 
 _EIGENVALUES, _RESPONSES = 16, 4  # points at which the peer is timed

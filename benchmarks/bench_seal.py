@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 
 from ambrose import load_machine
-from ambrose.machine.seals import GasSealGeometry
+from ambrose.machine.part import GasSealGeometry
 from ambrose.model.effects import bulkflow
-from ambrose.model.effects.bulkflow_static import static_flow
-from ambrose.model.effects.gas_seal import described
-from ambrose.model.effects.seal import coefficients
+from ambrose.model.effects.bulkflow import static_flow
+from ambrose.model.effects.seal import coefficients, described
 from ambrose.model.effects.seal_rational import linearised, rational
 
 HZ = 2 * np.pi

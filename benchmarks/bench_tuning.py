@@ -18,14 +18,12 @@ from typing import Any
 import numpy as np
 
 import ambrose as amb
+from ambrose.law.loop import Timing
 from ambrose.law.pid import pid_controller
-from ambrose.law.timing import Timing
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import reduce
-from ambrose.model.uncertainty import perturbed, tolerances_around
-from ambrose.synthesis.fixed_order.aims import aims_of
+from ambrose.model.uncertainty import perturbed, reduce, tolerances_around
+from ambrose.synthesis.fixed_order.channels import aims_of, loop_model
 from ambrose.synthesis.fixed_order.job import bending_modes_for, with_states
-from ambrose.synthesis.fixed_order.loops import loop_model
 from ambrose.synthesis.fixed_order.objective import Objective
 from ambrose.synthesis.fixed_order.structure import axis_groups, structured
 

@@ -11,12 +11,16 @@ from typing import Any
 import numpy as np
 
 from ambrose import design, load_machine
-from ambrose.annexes.scheduled.moving.on_model import check_on_model, scheduled_spans
-from ambrose.annexes.scheduled.moving.pressure import check_pressure, pressure_loop
-from ambrose.annexes.scheduled.moving.spans import FROZEN, pressure_spans
+from ambrose.annexes.scheduled.moving_model import (
+    FROZEN,
+    check_on_model,
+    pressure_spans,
+    scheduled_spans,
+)
+from ambrose.annexes.scheduled.moving_proofs import check_pressure, pressure_loop
 from ambrose.core.norms import hinf_norm
 from ambrose.judge.checks import Checks
-from ambrose.law.timing import Timing
+from ambrose.law.loop import Timing
 from ambrose.model.assemble import assemble
 
 # Hz; Pa/s; Pa, a fifth of nominal

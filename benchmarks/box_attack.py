@@ -32,9 +32,8 @@ import scipy.optimize as so
 from ambrose import assemble, load_machine
 from ambrose.core.statespace import StateSpace
 from ambrose.judge.sampled import check_over_box
-from ambrose.law.loop import match_controller
+from ambrose.law.loop import Timing, machine_timing, match_controller
 from ambrose.law.pid import pid_controller
-from ambrose.law.timing import Timing, machine_timing
 from ambrose.model.plant import Plant
 from ambrose.model.uncertainty import perturbed, tolerances_around, uncertain
 

@@ -12,10 +12,9 @@ import numpy as np
 import ambrose as amb
 from ambrose.annexes.site.calibration import calibrate
 from ambrose.core.statespace import static_gain
-from ambrose.machine.stator import Runout
+from ambrose.machine.part import Runout
 from ambrose.model.plant import top_speed
-from ambrose.rig.disturbances import Sine
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Scenario, Sine
 
 MACHINES = ("overhung-blower", "flywheel", "turbomolecular-pump", "nelson-mcvaugh-rotor")
 GAIN = (1.04, 0.97)

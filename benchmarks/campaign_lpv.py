@@ -24,9 +24,9 @@ from ambrose.machine.parameters import operating_point
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
 from ambrose.rig import virtual_rig
-from ambrose.rig.run_up import spin_up, steps
 from ambrose.rig.scenario import Scenario, load_scenario
 from ambrose.rig.trace import Trace
+from ambrose.rig.trial import spin_up, steps
 from ambrose.synthesis.design import design
 
 HZ = 2 * np.pi

@@ -25,26 +25,25 @@ from ambrose import load_machine
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, poles, select
+from ambrose.identification import static_load
 from ambrose.identification.output_error import closed_loop
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
-from ambrose.identification.static_load import identify as static_load
-from ambrose.identification.static_load.identify import StaticLoad
+from ambrose.identification.static_load import StaticLoad
 from ambrose.identification.validation.repeatability import Repeats, of_estimates, repeats
 from ambrose.law.loop import closed_loop as loop_of
 from ambrose.law.pid import pid_controller
-from ambrose.machine.controller import Notch, PidSettings
 from ambrose.machine.description import Amplifier, OperatingPoint
 from ambrose.machine.machine import Machine
+from ambrose.machine.part import Notch, PidSettings
 from ambrose.model.assemble import assemble
 from ambrose.model.effects import magnet
 from ambrose.model.plant import Plant
-from ambrose.model.reduce import free_mode_reduction
 from ambrose.model.static_load import operating_magnets
+from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.record.record import Record
 from ambrose.report.page import Page, write
 from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import Prbs, Pulse
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Prbs, Pulse, Scenario
 from benchmarks.campaign_page import Condition, campaign_page
 from benchmarks.scatter_study import ScatterStudy, scatter_study
 

@@ -20,8 +20,8 @@ from ambrose import load_machine
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import StateSpace, spectral_abscissa
-from ambrose.core.worst_case.bounds import gain_bound
-from ambrose.core.worst_case.loop import (
+from ambrose.core.worst_case import gain_bound, worst_gain
+from ambrose.core.worst_case_loop import (
     box_points,
     corners,
     default_grid,
@@ -29,8 +29,7 @@ from ambrose.core.worst_case.loop import (
     transfers,
     unstable_poles,
 )
-from ambrose.core.worst_case.search import worst_gain
-from ambrose.judge.family.responses import (
+from ambrose.judge.exploration import (
     BoxUnbalance,
     PulseFamily,
     loop_over_box,
@@ -38,16 +37,15 @@ from ambrose.judge.family.responses import (
     unbalance_over_box,
 )
 from ambrose.judge.robust import box_loops
-from ambrose.law.design_problem import design_plant
+from ambrose.law.design_problem import design_plant, machine_weights
 from ambrose.law.loop import closed_loop
-from ambrose.law.weights import machine_weights
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
-from ambrose.model.reduce import reduce
-from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.mu.synthesis import mu_synthesis
+from ambrose.model.uncertainty import reduce
+from ambrose.synthesis.hinf import hinf_synthesis
+from ambrose.synthesis.mu import mu_synthesis
 
 HZ = 2 * np.pi
 POINT = "140 Hz (P3)"

@@ -24,25 +24,23 @@ from ambrose.core.frequency import FrequencyResponse, frequency_response
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
-from ambrose.identification.frf import spectral as frf
-from ambrose.identification.frf.phasors import Step, steps_of
-from ambrose.identification.frf.stepped import stepped
-from ambrose.identification.frf.validity import compare
-from ambrose.identification.model_updating import update_machine
+from ambrose.identification import frf_spectral as frf
+from ambrose.identification.frf import Step, compare, stepped, steps_of
 from ambrose.identification.output_error import closed_loop
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
-from ambrose.identification.seal import stepped_sine, time_domain
-from ambrose.identification.seal.result import COEFFICIENTS, SealFit, averaged, line
+from ambrose.identification.parameters import update_machine
+from ambrose.identification.seal import by_frequency as stepped_sine
+from ambrose.identification.seal import pipeline as time_domain
+from ambrose.identification.seal.by_pressure import COEFFICIENTS, SealFit, averaged, line
 from ambrose.law.loop import closed_loop as loop_of
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.record.record import Record
 from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import Chirp, Prbs, Pulse, Sine, SteppedSine
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Chirp, Prbs, Pulse, Scenario, Sine, SteppedSine
 from benchmarks import campaign_p4_tables as tables
 from benchmarks.campaign_p4_page import page
 from benchmarks.campaign_p4_results import BAR, HZ, Columns, Coupled, Impulses, Stepped, Swept, rig

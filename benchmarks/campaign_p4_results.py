@@ -10,11 +10,10 @@ import numpy as np
 
 from ambrose import load_machine
 from ambrose.core.frequency import FrequencyResponse
-from ambrose.identification.frf.spectral import Frf
-from ambrose.identification.frf.validity import Validity
+from ambrose.identification.frf import Validity
+from ambrose.identification.frf_spectral import Frf
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
-from ambrose.identification.seal.regression import Line
-from ambrose.identification.seal.result import SealFit
+from ambrose.identification.seal.by_pressure import Line, SealFit
 from ambrose.machine.machine import Machine
 from ambrose.model.effects import seal
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ambrose.identification.seal.result import COEFFICIENTS, SealFit
+from ambrose.identification.seal.by_pressure import COEFFICIENTS, SealFit
 from benchmarks.campaign_p4_results import (
     BAR,
     HZ,

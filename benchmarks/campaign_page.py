@@ -18,10 +18,11 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
-from ambrose.identification.static_load.identify import StaticLoad
+from ambrose.identification.static_load import StaticLoad
 from ambrose.identification.validation.repeatability import Repeats
 from ambrose.machine.machine import Machine
-from ambrose.report import theme, units
+from ambrose.report import theme
+from ambrose.report import theme as units
 from ambrose.report.page import Cell, Figure, Page, Section, Table, Verdict
 
 _QUANTITIES = {

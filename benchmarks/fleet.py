@@ -20,7 +20,7 @@ from click.testing import CliRunner
 
 import ambrose as amb
 from ambrose.cli import main
-from ambrose.law.timing import machine_timing
+from ambrose.law.loop import machine_timing
 from ambrose.model.effects.rotor import (
     finite_element_rotor,
     free_bending_frequencies,

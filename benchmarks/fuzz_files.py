@@ -431,7 +431,7 @@ def judge(kind: str, path: Path, folder: Path, *, apart: bool = False) -> str:
     from ambrose.cli import main
     from ambrose.record import apart as process
     from ambrose.record import foreign
-    from ambrose.record.mat_tdms import read_variables
+    from ambrose.record.apart import read_variables
 
     tiny = str(folder / "tiny.toml")
     running = ["--controller", str(folder / "k.json")]
@@ -692,7 +692,7 @@ def absurd(text: str, chance: random.Random) -> tuple[str, str]:
 
 def unnoticed(count: int, seed: int) -> tuple[Counter[str], list[str]]:
     """How many numbers that no machine has are refused and doubted, and the lines of the others."""
-    from ambrose.chain.check_entries import entry_doubts
+    from ambrose.chain.check import entry_doubts
     from ambrose.core.checks import InvalidInput
     from ambrose.machine.file.toml import loads_machine
 

@@ -15,12 +15,11 @@ from functools import cache
 import numpy as np
 
 import ambrose as amb
-from ambrose.annexes.scheduled.seal_monitor.watch import monitor
+from ambrose.annexes.scheduled.seal_watch import monitor
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import Prbs, PressureChange, Unbalance
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Prbs, PressureChange, Scenario, Unbalance
 from ambrose.synthesis.pid import pid_synthesis
 
 TIMES = (0.1, 0.5, 2.0)  # [s] after the filters have settled

@@ -18,9 +18,9 @@ import numpy as np
 from numba import njit
 from scipy.linalg import eigh_tridiagonal
 
+from ambrose.annexes.scheduled.varying_proof import VaryingLoop
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace
-from ambrose.core.varying.loop import VaryingLoop
 
 _SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)  # of the way to the favoured motion
 _LEAST = 3e-5  # relative, of a step of the gain

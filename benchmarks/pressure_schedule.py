@@ -20,11 +20,10 @@ import numpy as np
 
 import ambrose as amb
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.judge.certificate import certify
+from ambrose.judge.result import certify
 from ambrose.law.law import law_of
-from ambrose.law.timing import Timing
-from ambrose.rig.disturbances import PressureChange, Pulse
-from ambrose.rig.scenario import Scenario
+from ambrose.law.loop import Timing
+from ambrose.rig.scenario import PressureChange, Pulse, Scenario
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch
 
 TIMING = Timing(1e-4, 1)

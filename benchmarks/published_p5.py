@@ -14,10 +14,9 @@ import numpy as np
 
 from ambrose.core.lft import GeneralizedPlant, RealBlock
 from ambrose.core.statespace import StateSpace, append, rename, series, static_gain
-from ambrose.law.design_problem import design_plant
-from ambrose.law.weights import Weights, machine_weights
-from ambrose.machine.controller import PidSettings
+from ambrose.law.design_problem import Weights, design_plant, machine_weights
 from ambrose.machine.description import DesignWeights
+from ambrose.machine.part import PidSettings
 
 
 @cache

@@ -28,22 +28,20 @@ from typing import Any
 import numpy as np
 
 import ambrose as amb
-from ambrose.chain.recorded_under import as_recorded
+from ambrose.chain.commissioning import as_recorded
 from ambrose.core.checks import AmbroseError, InvalidInput, NumericalFailure
 from ambrose.identification.parameters import nominal_values
-from ambrose.judge.sampled_box import sampled_box
-from ambrose.law.loop import match_controller
-from ambrose.law.timing import DEFAULT, machine_timing, timing_of
-from ambrose.machine.controller import PidSettings
+from ambrose.judge.sampled import sampled_box
+from ambrose.law.loop import DEFAULT, machine_timing, match_controller, timing_of
 from ambrose.machine.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR
 from ambrose.machine.description import MagneticBearing, OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import TIMING
+from ambrose.machine.part import PidSettings
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import top_speed
 from ambrose.record.record import Record
-from ambrose.rig.disturbances import Prbs
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Prbs, Scenario
 from ambrose.terminal import kept_page
 
 MACHINES = (

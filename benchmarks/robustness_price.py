@@ -10,7 +10,7 @@ import time
 from dataclasses import replace
 
 import ambrose as amb
-from ambrose.synthesis.methods.tuned import Tuned
+from ambrose.synthesis.methods import Tuned
 
 
 def machine():

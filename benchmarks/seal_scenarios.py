@@ -22,8 +22,14 @@ from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
 from ambrose.model.plant import top_speed
 from ambrose.report import theme
 from ambrose.report.page import Cell, Figure, Page, Section, Table, Verdict, write
-from ambrose.rig.disturbances import PressureChange, PressureSensor, Pulse, SpeedChange, Unbalance
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import (
+    PressureChange,
+    PressureSensor,
+    Pulse,
+    Scenario,
+    SpeedChange,
+    Unbalance,
+)
 
 MACHINES = ("seal-rig", "turboexpander")
 RATE = 10_000

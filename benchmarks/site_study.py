@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.annexes.site.acceptance import accept
-from ambrose.annexes.site.balancing.correction import balance
+from ambrose.annexes.site.balancing import balance
 from ambrose.annexes.site.calibration import calibrate
 from benchmarks.rig_cases import (
     CASES,

@@ -21,17 +21,14 @@ from dataclasses import replace
 import numpy as np
 
 import ambrose as amb
-from ambrose.annexes.scheduled.watched import watched
-from ambrose.code.block.fixed import build_block
-from ambrose.code.block.scheduled import build_scheduled_block
-from ambrose.code.block.supervised import supervise, supervised_twin
-from ambrose.code.c.compiled import CompiledSchedule
-from ambrose.code.c.compiler import has_compiler
+from ambrose.annexes.scheduled.seal_watch import watched
+from ambrose.code.block.block import build_block
+from ambrose.code.block.scheduled import build_scheduled_block, supervise, supervised_twin
+from ambrose.code.c.compiled import CompiledSchedule, has_compiler
 from ambrose.code.pipeline import machine_limits
 from ambrose.code.sampled import deploy, deploy_scheduled
 from ambrose.law.supervision import Limits, supervised
-from ambrose.rig.disturbances import Prbs, PressureChange, PressureSensor, Pulse
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Prbs, PressureChange, PressureSensor, Pulse, Scenario
 
 DT = 1e-4
 

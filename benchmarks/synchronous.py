@@ -21,25 +21,22 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose import load_machine
-from ambrose.annexes.site.balancing.synchronous import unbalance_from_amplitudes
-from ambrose.code.block.fixed import build_block
-from ambrose.code.c.run import CompiledRun
-from ambrose.code.c.synchronous import CompiledSynchronous
+from ambrose.annexes.site.balancing_vectors import unbalance_from_amplitudes
+from ambrose.code.block.block import build_block
+from ambrose.code.c.synchronous import CompiledRun, CompiledSynchronous
 from ambrose.code.pipeline import machine_limits
 from ambrose.code.sampled import deploy
 from ambrose.code.synchronous import RunUnit, run_unit
 from ambrose.core.statespace import StateSpace, select
 from ambrose.core.synchronous import borders, convergence
 from ambrose.law.pid import pid_controller
-from ambrose.law.synchronous import conditions, synchronous_loop
+from ambrose.law.synchronous import conditions, running_law, synchronous_loop
 from ambrose.law.synchronous_block import key_phasor
-from ambrose.law.synchronous_table import running_law
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
-from ambrose.model.unbalance import residual_unbalance
-from ambrose.rig.disturbances import Unbalance
-from ambrose.rig.scenario import Scenario
+from ambrose.model.static_load import residual_unbalance
+from ambrose.rig.scenario import Scenario, Unbalance
 from ambrose.rig.synchronous import synchronous_program
 from ambrose.rig.virtual_rig import run
 from ambrose.synthesis.synchronous_design import design_synchronous

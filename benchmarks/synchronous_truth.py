@@ -32,27 +32,28 @@ from ambrose.code.c.synchronous import CompiledSynchronous
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import StateSpace
 from ambrose.core.synchronous import best_inverse, convergence
-from ambrose.judge.synchronous_bands import orbit_limit
-from ambrose.judge.synchronous_sensitivity import sensitivity_peak
+from ambrose.judge.synchronous import orbit_limit
+from ambrose.judge.synchronous_speeds import sensitivity_peak
 from ambrose.law.synchronous import (
+    BlockTable,
     Condition,
     Converged,
     SynchronousLoop,
+    block_table,
     conditions,
     forward_patterns,
+    loop_pencils,
+    prove_interval,
+    running_law,
     synchronous_loop,
 )
 from ambrose.law.synchronous_block import BlockState
-from ambrose.law.synchronous_pencils import loop_pencils, prove_interval
-from ambrose.law.synchronous_table import BlockTable, block_table, running_law
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
-from ambrose.model.static_load import magnet_coefficients
-from ambrose.model.unbalance import residual_unbalance
+from ambrose.model.static_load import magnet_coefficients, residual_unbalance
 from ambrose.model.uncertainty import perturbed, tolerances_around
-from ambrose.rig.disturbances import Unbalance
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Scenario, Unbalance
 from ambrose.rig.synchronous import synchronous_program
 from ambrose.rig.virtual_rig import run
 from ambrose.synthesis.synchronous_design import check_base_loop, design_synchronous

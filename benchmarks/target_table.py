@@ -21,16 +21,13 @@ from typing import Any
 import numpy as np
 
 import ambrose as amb
+from ambrose.code.block.block import ControlBlock, build_block
 from ambrose.code.block.cascade import build_cascade
-from ambrose.code.block.fixed import ControlBlock, build_block
-from ambrose.code.block.scheduled import ScheduledBlock, build_scheduled_block
-from ambrose.code.block.supervised import supervise
+from ambrose.code.block.scheduled import ScheduledBlock, build_scheduled_block, supervise
 from ambrose.code.in_loop import InLoop, simulate_on_target
 from ambrose.code.pipeline import machine_limits
-from ambrose.code.processor.machines import PROCESSORS
-from ambrose.code.processor.stimulus import stimulus
-from ambrose.code.processor.trial import Trial, try_unit
-from ambrose.code.processor.unit import Law, unit_of
+from ambrose.code.processor_build import PROCESSORS, Law, unit_of
+from ambrose.code.processor_trial import Trial, stimulus, try_unit
 from ambrose.code.sampled import deploy, deploy_scheduled
 from ambrose.code.synchronous import RunUnit
 from ambrose.code.targets import C

@@ -23,18 +23,21 @@ from pathlib import Path
 import numpy as np
 
 from ambrose import design, load_machine
-from ambrose.annexes.scheduled.moving.on_model import check_on_model, scheduled_spans
-from ambrose.annexes.scheduled.moving.pressure import check_pressure, pressure_loop
-from ambrose.annexes.scheduled.moving.spans import PressureSpan, pressure_spans
+from ambrose.annexes.scheduled.moving_model import (
+    PressureSpan,
+    check_on_model,
+    pressure_spans,
+    scheduled_spans,
+)
+from ambrose.annexes.scheduled.moving_proofs import check_pressure, pressure_loop
 from ambrose.core.norms import HinfNorm, hinf_norm
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
-from ambrose.law.loop import match_controller
-from ambrose.law.timing import Timing
+from ambrose.law.loop import Timing, match_controller
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
-from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import reduce
 from benchmarks.motion_gain import Gain, Motion, Tables, ascend, closed, gain, growth, tables
 
 _TIMING = Timing(1e-4, 1)

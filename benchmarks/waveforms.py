@@ -1,5 +1,5 @@
 """Excitation signals as arrays, peak 1 (the rig makes its own,
-ambrose/rig/disturbances.py).
+ambrose/rig/scenario.py).
 """
 
 from __future__ import annotations
@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from ambrose.core.checks import check_positive, invalid
-from ambrose.identification.excitation import _count
+from ambrose.identification.findings import _count
 
 ORDERS = (3, 20)  # of a binary sequence
 

@@ -21,19 +21,23 @@ import numpy as np
 
 import ambrose as amb
 from ambrose.annexes.scheduled.lpv.synthesis import lpv_synthesis
-from ambrose.annexes.sizing.guarantee import tuning_job
+from ambrose.annexes.sizing.least import tuning_job
 from ambrose.core.checks import NumericalFailure
-from ambrose.judge.certificate import certify
-from ambrose.law.design_problem import apply_delay, design_plant, open_model
+from ambrose.judge.result import certify
+from ambrose.law.design_problem import (
+    apply_delay,
+    design_plant,
+    machine_weights,
+    open_model,
+    scale_control,
+)
 from ambrose.law.pid import pid_controller
-from ambrose.law.weights import machine_weights, scale_control
 from ambrose.machine.description import Tolerance
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
-from ambrose.model.uncertainty import perturbed
+from ambrose.model.uncertainty import free_mode_reduction, perturbed
 from ambrose.synthesis.fixed_order.job import first_law, prepare
 from ambrose.synthesis.fixed_order.tuning import tuned
-from ambrose.synthesis.methods.tuned import Tuned
+from ambrose.synthesis.methods import Tuned
 
 RANGE = (0.0, 1.0, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0)
 # of S_o; factor of the machine's control weight for the schedule, which lowers S_o

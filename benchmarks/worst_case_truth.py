@@ -24,10 +24,8 @@ from scipy.optimize import minimize
 from ambrose.core.lft import RealBlock
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace
-from ambrose.core.worst_case.bounds import proved_gain, proved_margin
-from ambrose.core.worst_case.crossing import box_margin
-from ambrose.core.worst_case.loop import BoxLoop, box_loop
-from ambrose.core.worst_case.search import worst_gain
+from ambrose.core.worst_case import proved_gain, proved_margin, worst_gain
+from ambrose.core.worst_case_loop import BoxLoop, box_loop, box_margin
 
 SYSTEMS = 500
 _GRID = {1: 801, 2: 35}  # points per axis

@@ -9,7 +9,7 @@ from dataclasses import MISSING, fields
 
 from ambrose.machine.units import DIMENSIONS
 from ambrose.rig import scenario as reader
-from ambrose.rig.machine_terms import _QUANTITIES
+from ambrose.rig.scenario import _QUANTITIES
 from docs_build import DOCS
 
 HEAD = """# Scenario file

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 import compiled_once
-from ambrose.code.block.block import Block
-from ambrose.code.block.fixed import ControlBlock
+from ambrose.code.block.block import Block, ControlBlock
 from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.c.code import generate
 

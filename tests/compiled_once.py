@@ -11,7 +11,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from ambrose.code.c import compiler
+from ambrose.code.c import compiled as compiler
 
 RUN = os.environ.get("PYTEST_XDIST_TESTRUNUID", str(os.getpid()))  # one for all workers of a run
 KEPT = Path(tempfile.gettempdir()) / f"ambrose-tests-{RUN}"

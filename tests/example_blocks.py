@@ -6,7 +6,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose import StateSpace
-from ambrose.code.block.fixed import ControlBlock, build_block
+from ambrose.code.block.block import ControlBlock, build_block
 from ambrose.code.sampled import deploy
 
 ERROR = 0.5e-3

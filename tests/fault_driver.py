@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.atomic_write import INTERRUPTED, write_files, write_text
+from ambrose.machine.ordinary_file import INTERRUPTED, write_files, write_text
 from ambrose.record.files import read_record, write_record
 from ambrose.record.record import Record
-from ambrose.record.writer import RecordWriter, partial_path
+from ambrose.record.stream import RecordWriter, partial_path
 
 FAULTS = ctypes.CDLL(None)
 MODES = ("once", "from there on", "killed")

@@ -8,7 +8,7 @@ from ambrose import load_machine
 from ambrose.core.sampling import c2d
 from ambrose.law.loop import match_controller
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.synthesis.pid import pid_synthesis
 
 DT = 1e-4

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from ambrose.code.c.compiler import compiler_problem
-from ambrose.code.processor.machines import PROCESSORS
+from ambrose.code.c.compiled import compiler_problem
+from ambrose.code.processor_build import PROCESSORS
 
 # places of programs that are no packages
 MATIEC, STRUCPP = (Path(os.environ.get(name, "/nonexistent")) for name in ("MATIEC", "STRUCPP"))

@@ -4,8 +4,7 @@ parted between A and B.
 
 import math
 
-from ambrose.rig.disturbances import Unbalance
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Scenario, Unbalance
 
 HERTZ = 2 * math.pi
 RUN_UP = Scenario(

@@ -11,7 +11,7 @@ from ambrose.code.block.scheduled import ScheduledBlock, build_scheduled_block
 from ambrose.code.sampled import deploy_scheduled
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.law.sampling import response
+from ambrose.law.loop import response
 
 ERROR = 1e-3
 CURRENT = 2.0

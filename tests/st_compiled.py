@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ambrose.code.block.fixed import ControlBlock
+from ambrose.code.block.block import ControlBlock
 from needs import MATIEC, STRUCPP
 
 _CONFIGURATION = """

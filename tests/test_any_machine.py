@@ -17,7 +17,7 @@ from ambrose.core.frequency import frequency_response
 from ambrose.law.loop import closed_loop
 from ambrose.law.pid import pid_controller
 from ambrose.machine.file.toml import dumps_machine, loads_machine, read_machine_text
-from ambrose.machine.stator import CasingMode, Support
+from ambrose.machine.part import CasingMode, Support
 from ambrose.model.assemble import assemble
 
 NAMES = {"A": "DE", "B": "NDE", "center": "balance", "piston": "drum", "coupling": "quill"}

@@ -14,18 +14,23 @@ from ambrose.cli import main
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, append, series, transfer_function
 from ambrose.judge import nominal
-from ambrose.judge.as_it_runs import certify_as_it_runs, sampled_margins, without_fast_poles
-from ambrose.judge.certificate import certify
 from ambrose.judge.controller_file import read_controller
-from ambrose.judge.result import Status, Synthesis
-from ambrose.judge.stability import judge_stability
+from ambrose.judge.plants import judge_stability
+from ambrose.judge.result import (
+    Status,
+    Synthesis,
+    certify,
+    certify_as_it_runs,
+    sampled_margins,
+    without_fast_poles,
+)
 from ambrose.judge.verdict import verify_controller, verify_points
 from ambrose.law.design_problem import design_plant
-from ambrose.law.timing import DEFAULT, Timing
+from ambrose.law.loop import DEFAULT, Timing
 from ambrose.machine.description import Tolerance
 from ambrose.machine.file.toml import read_machine_text
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import reduce
 from ambrose.synthesis.pid import pid_synthesis
 from coarse import coarse
 

@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from ambrose.cli import main
-from ambrose.code.c.compiler import has_compiler
+from ambrose.code.c.compiled import has_compiler
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.machine.file.toml import bundled_machines
 from ambrose.synthesis.design import design
@@ -243,7 +243,7 @@ def test_an_infeasible_design_leaves_the_other_controllers_their_verdict(tmp_pat
             raise NumericalFailure("no gamma below 1e6; relax the weights")
         return design(plant, method, **options)
 
-    monkeypatch.setattr("ambrose.chain.control.design", only_pid)
+    monkeypatch.setattr("ambrose.chain.stages.design", only_pid)
     # in this process, where the method is exchanged
     monkeypatch.setattr("ambrose.chain.study.processors", lambda: 1)
     (tmp_path / "rig.toml").write_text(coarse_text())
@@ -496,7 +496,7 @@ def test_import_is_light_and_fast():
 
 def test_continuous_figures_beside_those_of_the_loop_that_runs_are_explained():
     """A PID's certificate had said a sensitivity peak of 356.7 beside one of 2.54, and no more."""
-    from ambrose.cli.synthesize import _beside
+    from ambrose.cli.controller_commands import _beside
 
     far = {"sampled_sensitivity_peak": 2.54, "continuous sensitivity_peak": 356.7}
     (line,) = _beside(far)
@@ -515,8 +515,8 @@ _UNUSED = (
     "plotly",
     "pint",
     "h5py",
-    "ambrose.cli.verify",
-    "ambrose.annexes.site.accept_command",
+    "ambrose.cli.controller_commands",
+    "ambrose.annexes.site.commands",
     "ambrose.synthesis",
     "ambrose.identification",
     "ambrose.rig",

@@ -12,15 +12,16 @@ import pytest
 from click.testing import CliRunner
 
 from ambrose.annexes.site import acceptance
-from ambrose.annexes.site.balancing.amplitude_table import read_amplitudes
+from ambrose.annexes.site.balancing_vectors import read_amplitudes
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import static_gain
 from ambrose.judge.controller_file import read_controller, write_controller
 from ambrose.judge.result import Synthesis
-from ambrose.machine import atomic_write, claim
-from ambrose.machine.claim import claimed
+from ambrose.machine import ordinary_file as atomic_write
+from ambrose.machine import ordinary_file as claim
 from ambrose.machine.file.toml import bundled_machines
+from ambrose.machine.ordinary_file import claimed
 from ambrose.record import foreign
 
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")

@@ -16,8 +16,7 @@ from ambrose.identification.seal.by_frequency import identify_by_frequency
 from ambrose.machine.description import OperatingPoint
 from ambrose.model.assemble import seal_coefficients
 from ambrose.record.files import write_record
-from ambrose.rig.disturbances import Prbs, SteppedSine
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Prbs, Scenario, SteppedSine
 
 HZ, BAR = 2 * np.pi, 1e5
 

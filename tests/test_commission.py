@@ -24,12 +24,12 @@ from ambrose.judge.plants import full_plants
 from ambrose.judge.verdict import verify_points
 from ambrose.machine.description import Tolerance
 from ambrose.machine.file.toml import machine_hash
-from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import reduce
 from ambrose.record.files import read_record
 from ambrose.report import page as document
+from ambrose.report.comparison import commissioning_section
 from ambrose.report.page import Page
-from ambrose.report.study import commissioning_section
-from ambrose.rig.candidate import evaluate
+from ambrose.rig.trial import evaluate
 from ambrose.synthesis.pid import pid_synthesis
 from needs import needs
 
@@ -159,7 +159,7 @@ def test_a_second_run_takes_the_controller_up(
         raise AssertionError("designed again")
 
     monkeypatch.setattr(stage, "METHOD", "pid")
-    monkeypatch.setattr("ambrose.chain.control.design", never)
+    monkeypatch.setattr("ambrose.chain.stages.design", never)
     monkeypatch.setattr(
         stage,
         "compile_controller",

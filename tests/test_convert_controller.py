@@ -16,7 +16,7 @@ from ambrose.cli import main
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.law.pid import axes_controller
-from ambrose.synthesis.imported_controller import not_held
+from ambrose.synthesis.design import not_held
 
 RIG = "turbomolecular-pump"
 DT = 5e-5

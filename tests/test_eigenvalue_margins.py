@@ -19,7 +19,7 @@ from ambrose.core.statespace import (
     transfer_function,
 )
 from ambrose.law.pid import axes_controller
-from ambrose.machine.controller import PidSettings
+from ambrose.machine.part import PidSettings
 from eigenvalue_margins import loop_margins
 
 

@@ -21,12 +21,10 @@ from ambrose.judge.verdict import verify_controller
 from ambrose.law.pid import pid_controller
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
-from ambrose.model.reduce import reduce
-from ambrose.report.comparison.envelope import decision
-from ambrose.report.comparison.tables import verdicts_of
-from ambrose.rig.candidate import Candidate, evaluate
+from ambrose.model.uncertainty import reduce
+from ambrose.report.comparison_tables import decision, verdicts_of
 from ambrose.rig.scenario import load_scenario
-from ambrose.rig.trial import simulate_linear, simulate_scenario
+from ambrose.rig.trial import Candidate, evaluate, simulate_linear, simulate_scenario
 from ambrose.synthesis.pid import pid_synthesis
 from coarse import coarse
 
@@ -125,11 +123,11 @@ def test_the_linear_plant_turns_as_fast_as_the_scenario_says(coarse):
 
 def test_evaluation_keeps_what_a_schedule_leaves_out(coarse, schedule, made, monkeypatch):
     monkeypatch.setattr(
-        "ambrose.rig.candidate.run_on_rig", lambda plant, program, scenario, timing: None
+        "ambrose.rig.trial.run_on_rig", lambda plant, program, scenario, timing: None
     )
-    monkeypatch.setattr("ambrose.rig.candidate.SCENARIOS", ("impulse-parallel",))
+    monkeypatch.setattr("ambrose.rig.trial.SCENARIOS", ("impulse-parallel",))
     monkeypatch.setattr(
-        "ambrose.rig.candidate.simulate_linear", lambda plant, law, scenario, timing: None
+        "ambrose.rig.trial.simulate_linear", lambda plant, law, scenario, timing: None
     )
     bare = replace(coarse, tolerances=())
     labels = ("standstill", "140 Hz (P3)")

@@ -15,7 +15,7 @@ from benchmarks.fuzz_files import hostile, sensible
 import ambrose as amb
 from ambrose.annexes.scheduled.lpv.method import Lpv
 from ambrose.core.checks import InvalidInput
-from ambrose.core.worst_case.search import worst_case_gain
+from ambrose.core.worst_case import worst_case_gain
 
 HOSTILE = hostile()
 SECONDS = 120  # by the clock, on a busy computer; most calls take a millisecond

@@ -16,11 +16,9 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import poles, select
-from ambrose.judge.exploration import explore
-from ambrose.judge.family.poles import pole_map
-from ambrose.law.loop import closed_loop
-from ambrose.law.timing import timing_of
-from ambrose.model.unbalance import residual_unbalance
+from ambrose.judge.exploration import explore, pole_map
+from ambrose.law.loop import closed_loop, timing_of
+from ambrose.model.static_load import residual_unbalance
 
 BAR = 1e5
 

@@ -20,7 +20,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.identification.methods import METHODS
 from ambrose.identification.output_error.problem import FitOptions
 from ambrose.options import Options, choose, hertz, option, option_of, positive, settings
-from ambrose.synthesis.methods.choice import methods
+from ambrose.synthesis.methods import methods
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

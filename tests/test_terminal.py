@@ -20,15 +20,14 @@ from click.testing import CliRunner
 
 from ambrose import terminal
 from ambrose.cli import main
-from ambrose.code.block.names import check_identifier
+from ambrose.code.block.block import check_identifier
 from ambrose.core.checks import InvalidInput
 from ambrose.identification.result import Provenance, as_comment
-from ambrose.machine.atomic_write import write_files, write_text
-from ambrose.machine.ordinary_file import check_source, file_name
+from ambrose.machine.ordinary_file import check_source, file_name, write_files, write_text
 from ambrose.record import apart
 from ambrose.record.files import read_record, write_record
 from ambrose.record.record import Record
-from ambrose.record.writer import RecordWriter, partial_path
+from ambrose.record.stream import RecordWriter, partial_path
 from ambrose.terminal import _encoding, print_table, say
 
 SMALL = (Path(__file__).parent / "machine" / "small.toml").read_text(encoding="utf-8")
@@ -187,7 +186,9 @@ def test_closed_descriptors_never_become_a_file_of_results(tmp_path):
 
 
 @POSIX
-@pytest.mark.parametrize("moment", ["click", "ambrose.cli.check", "numpy", "scipy.linalg"])
+@pytest.mark.parametrize(
+    "moment", ["click", "ambrose.cli.machine_commands", "numpy", "scipy.linalg"]
+)
 def test_an_interruption_is_130_and_one_line_from_the_first_import_on(moment):
     code = f"""
 import signal, sys
@@ -524,7 +525,7 @@ def test_an_inherited_deafness_to_interruptions_stays():
 
 TERMINATED = """
 import ambrose.cli, sys, time
-from ambrose.machine.claim import claimed
+from ambrose.machine.ordinary_file import claimed
 def main():
     with claimed(sys.argv[1], "file"):
         print("held", flush=True)

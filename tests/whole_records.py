@@ -11,7 +11,7 @@ from ambrose.core.checks import check_shape
 from ambrose.core.response import SystemDerivative, simulate
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.output_error import statistics
-from ambrose.identification.output_error.lifted import lift, stream
+from ambrose.identification.output_error.normal_equations import lift, stream
 
 
 def lifted_sensitivities(

@@ -8,8 +8,8 @@ import pytest
 import uvicorn
 
 from ambrose.annexes.workbench import server
-from ambrose.annexes.workbench.clock import Clock
-from ambrose.core.listening import listening, names_of
+from ambrose.annexes.workbench.live import Clock
+from ambrose.core.processes import listening, names_of
 
 POLL = 0.005  # [s] between two looks at a condition
 LIMIT = 800.0  # [s] after which a condition is given up: a hang, whatever else the computer does

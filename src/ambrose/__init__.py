@@ -46,32 +46,29 @@ _HOME = {
     "StateSpace": "core.statespace",
     "Plant": "model.plant",
     "Synthesis": "judge.result",
-    "Verification": "judge.verification",
+    "Verification": "judge.checks",
     "Trace": "rig.trace",
     "Identification": "identification.result",
     "RecordCheck": "identification.record_check",
-    "GenericIdentification": "identification.one_axis.result",
-    **{
-        name: f"synthesis.methods.{name.lower()}"
-        for name in ("Tuned", "Pid", "Hinf", "Mu", "Polish")
-    },
+    "GenericIdentification": "identification.one_axis.identify",
+    **dict.fromkeys(("Tuned", "Pid", "Hinf", "Mu", "Polish"), "synthesis.methods"),
     **dict.fromkeys(("ClosedLoop", "Youla", "StaticLoads"), "identification.methods"),
     **dict.fromkeys(("C", "Mat", "Fmu", "St"), "code.targets"),
     "Study": "chain.study",
-    "hinf_synthesis": "synthesis.hinf.synthesis",
-    "mu_synthesis": "synthesis.mu.synthesis",
+    "hinf_synthesis": "synthesis.hinf",
+    "mu_synthesis": "synthesis.mu",
     "mu_bounds": "core.mu.bounds",
     "hinf_norm": "core.norms",
-    "worst_case_gain": "core.worst_case.search",
+    "worst_case_gain": "core.worst_case",
     "frequency_response": "core.frequency",
     "time_response": "core.response:simulate",
     **dict.fromkeys(("connect", "poles", "select", "spectral_abscissa"), "core.statespace"),
     **dict.fromkeys(
         ("coprime_factors", "injection_gain", "observer_controller", "residual_system"),
-        "core.realisation.coprime",
+        "core.realisation",
     ),
     "trade_off": "synthesis.trade_off",
-    "minimal": "core.realisation.zeros",
+    "minimal": "core.realisation",
     "delayed": "core.sampling",
     "lft": "core.lft",
     "mu_peak": "core.mu.bounds",
@@ -81,13 +78,13 @@ _HOME = {
         "model.effects.rotor",
     ),
     "closed_loop": "law.loop",
-    "free_mode_reduction": "model.reduce",
+    "free_mode_reduction": "model.uncertainty",
     "perturbed": "model.uncertainty",
-    "identify_residual": "identification.youla.identify:identify_injected",
-    "finite_response": "identification.youla.impulse_response",
-    "run_up_steps": "rig.run_up:steps",
+    "identify_residual": "identification.youla:identify_injected",
+    "finite_response": "identification.youla",
+    "run_up_steps": "rig.trial:steps",
     "with_performance_block": "law.design_problem",
-    "performance_weight": "law.weights",
+    "performance_weight": "law.design_problem",
     **dict.fromkeys(("CompiledBlock", "read_law"), "code.c.compiled"),
     "simulate_on_target": "code.in_loop",
     # what the annexes of this installation add, such as ``accept``, ``campaign``, ``size``
@@ -99,8 +96,8 @@ __all__ = ["__version__", *_HOME]  # noqa: PLE0604
 if TYPE_CHECKING:
     from typing import Any
 
-    from ambrose.annexes.campaigns.front_door import campaign as campaign
-    from ambrose.annexes.scheduled.front_door import monitor as monitor
+    from ambrose.annexes.campaigns.result import campaign as campaign
+    from ambrose.annexes.scheduled.monitor import monitor as monitor
     from ambrose.api import assemble as assemble
     from ambrose.api import design as design
     from ambrose.api import export as export
@@ -121,8 +118,8 @@ def __getattr__(name: str) -> Any:
             # A function: its linear algebra runs in one thread (what reads and writes files has
             # none), wrong types are named, and it pickles as what it is called here.
             if not module.startswith(("machine.", "record.")):
-                item = import_module("ambrose.core.threads").in_one_thread(item)
-            item = import_module("ambrose.core.arguments").checks_plain_types(item)
+                item = import_module("ambrose.core.processes").in_one_thread(item)
+            item = import_module("ambrose.core.checks").checks_plain_types(item)
             item.__module__ = "ambrose"
             item.__name__ = name
             item.__qualname__ = name

@@ -28,17 +28,17 @@ if TYPE_CHECKING:
     from ambrose.chain.study import Study
     from ambrose.code.pipeline import Delivery
     from ambrose.code.targets import Target
-    from ambrose.identification.one_axis.result import GenericIdentification
+    from ambrose.identification.one_axis.identify import GenericIdentification
     from ambrose.identification.record_check import RecordCheck
     from ambrose.identification.result import Identification
+    from ambrose.judge.checks import Verification
     from ambrose.judge.result import Synthesis
-    from ambrose.judge.verification import Verification
     from ambrose.law.law import Law
     from ambrose.machine.description import OperatingPoint
     from ambrose.machine.machine import Machine
     from ambrose.model.plant import Plant
     from ambrose.rig.trace import Trace
-    from ambrose.synthesis.methods.method import Method
+    from ambrose.synthesis.methods import Method
 
 Progress = Callable[[str], None]
 
@@ -74,8 +74,8 @@ def reduce(plant: Plant, bending_modes: int | None = None) -> Plant:
     InvalidInput.
     """
     from ambrose.model.plant import Plant as PlantType
-    from ambrose.model.reduce import default_bending_modes
-    from ambrose.model.reduce import reduce as reduced
+    from ambrose.model.uncertainty import default_bending_modes
+    from ambrose.model.uncertainty import reduce as reduced
 
     if not isinstance(plant, PlantType):
         raise invalid(

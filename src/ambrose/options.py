@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, asdict, dataclass, field, fields
 from typing import Any, ClassVar, TypeVar
 
-from ambrose.machine.messages import meant, suggestion
+from ambrose.machine.units import meant, suggestion
 
 Check = Callable[[Any, str], None]
 
@@ -54,7 +54,7 @@ class Options:
     why: ClassVar[str] = ""  # why it has no others, told where one of them is refused
 
     def __post_init__(self) -> None:
-        from ambrose.core.arguments import check_plain_fields
+        from ambrose.core.checks import check_plain_fields
 
         check_plain_fields(self)  # "no" is as good as True, and ends in no error
         for item in fields(self):

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
-from ambrose.machine.messages import one_line
+from ambrose.machine.units import one_line
 
 if TYPE_CHECKING:
     from ambrose.judge.result import Synthesis
@@ -422,8 +422,7 @@ def claim(**places: Path | None) -> None:
     written by another run, is refused before the work begins. Raises InvalidInput.
     """
     from ambrose.core.checks import InvalidInput
-    from ambrose.machine.atomic_write import check_file
-    from ambrose.machine.claim import claimed
+    from ambrose.machine.ordinary_file import check_file, claimed
 
     known: dict[str, str] = {}
     for what, path in (

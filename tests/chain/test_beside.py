@@ -8,7 +8,7 @@ import os
 
 import pytest
 
-from ambrose.chain.beside import beside
+from ambrose.chain.stages import beside
 
 SAYS = operator.methodcaller("__call__", "a word")  # called with the progress alone
 

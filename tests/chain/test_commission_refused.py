@@ -17,7 +17,7 @@ from ambrose.law.loop import closed_loop as loop_of
 from ambrose.law.loop import match_controller
 from ambrose.law.pid import pid_controller
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.record.record import Record
 
 DT = 1e-4

@@ -9,16 +9,15 @@ import numpy as np
 import pytest
 
 from ambrose.annexes.scheduled.lpv.method import Lpv
-from ambrose.chain import control
-from ambrose.chain.control import resume_or_design
+from ambrose.chain import stages as control
+from ambrose.chain.stages import resume_or_design
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.judge.certificate import certify_on_full_plant
 from ambrose.judge.controller_file import write_controller
-from ambrose.judge.result import Certificate, Status, Synthesis
+from ambrose.judge.result import Certificate, Status, Synthesis, certify_on_full_plant
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import reduce
 from ambrose.synthesis.design import provenance
-from ambrose.synthesis.methods.hinf import Hinf
+from ambrose.synthesis.methods import Hinf
 from ambrose.synthesis.pid import pid_synthesis
 from coarse import coarse
 

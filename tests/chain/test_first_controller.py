@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from ambrose.chain.first_controller import at_the_start, first_controller, why_lost
-from ambrose.law.timing import DEFAULT
+from ambrose.annexes.workbench.live import at_the_start, first_controller, why_lost
+from ambrose.law.loop import DEFAULT
 from ambrose.machine.file.toml import load_machine
 from ambrose.model.assemble import assemble
 from ambrose.synthesis.design import design
@@ -34,7 +34,7 @@ def test_where_the_pid_is_lost_one_is_tuned_for_the_rate_of_the_rig(machine, mon
         asked.append((method, options))
         return lost if method == "pid" else design(plant, "pid")  # which is quicker than tuned
 
-    monkeypatch.setattr("ambrose.chain.first_controller.design", designed)
+    monkeypatch.setattr("ambrose.annexes.workbench.live.design", designed)
     made = first_controller(machine)
     assert at_the_start(machine, made).stable
     rate = {"rate": DEFAULT.rate, "delay_samples": DEFAULT.delay_samples}

@@ -211,7 +211,7 @@ def terminal(monkeypatch):
         stderr = Terminal(None)
         exit = staticmethod(sys.exit)
 
-    monkeypatch.setattr(sys.modules["ambrose.cli.new"], "sys", Streams)
+    monkeypatch.setattr(sys.modules["ambrose.cli.machine_commands"], "sys", Streams)
 
 
 def test_on_a_terminal_it_asks_and_asks_again(tmp_path, terminal):

@@ -12,23 +12,17 @@ import pytest
 from click.testing import CliRunner
 
 import ambrose as amb
-from ambrose.chain import plants
-from ambrose.chain.check import critical_speeds, shares
-from ambrose.chain.check_entries import block_doubts
-from ambrose.chain.facts_in_words import rows_of
-from ambrose.chain.plants import facts
+from ambrose.chain import stages as plants
+from ambrose.chain.check import block_doubts, critical_speeds, rows_of, shares
+from ambrose.chain.stages import facts
 from ambrose.cli import main
 from ambrose.core.checks import NumericalFailure
-from ambrose.judge.unavoidable import unavoidable_sensitivity
+from ambrose.judge.loop_response import unavoidable_sensitivity
 from ambrose.machine.description import Amplifier, OperatingPoint, Operation, Tolerance
 from ambrose.machine.file.toml import read_machine_text
-from ambrose.machine.rotor_model import BendingMode, Material
-from ambrose.machine.synchronous import Synchronous
-from ambrose.machine.touchdown import Touchdown, TouchdownRace
+from ambrose.machine.part import BendingMode, Material, Synchronous, Touchdown, TouchdownRace
 from ambrose.machine.units import DIMENSIONS, read_quantity
-from ambrose.model.effects.clearance import Clearance
-from ambrose.model.effects.load import Load
-from ambrose.model.effects.stage import Stage
+from ambrose.model.effects.stations import Clearance, Load, Stage
 from coarse import coarse
 
 

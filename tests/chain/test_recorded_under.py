@@ -11,13 +11,12 @@ import pytest
 from scipy.linalg import expm
 
 from ambrose import design, load_machine
-from ambrose.chain.commissioning import commission
-from ambrose.chain.recorded_under import as_recorded, reference
+from ambrose.chain.commissioning import as_recorded, commission, reference
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import select
 from ambrose.judge.checks import Checks
 from ambrose.judge.plants import full_plants
-from ambrose.rig.candidate import Candidate
+from ambrose.rig.trial import Candidate
 
 T = 1e-4  # s, what the rig takes where no file says it
 

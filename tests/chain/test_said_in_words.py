@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 import ambrose as amb
-from ambrose.chain.plants import facts
+from ambrose.chain.stages import facts
 from ambrose.machine.description import OperatingPoint, Operation
-from ambrose.model.assemble import assemble
-from ambrose.model.basis import judged_bending
+from ambrose.model.assemble import assemble, judged_bending
 from ambrose.model.effects.rotor import finite_element_rotor, free_bending_frequencies
 from ambrose.model.plant import beyond_top_speed
 from ambrose.rig.scenario import Scenario
-from ambrose.synthesis.explanation import explained
+from ambrose.synthesis.design import explained
 
 MACHINE = amb.load_machine("two-disc-rotor")
 TOP = MACHINE.operation.speed_range[1]

@@ -16,16 +16,16 @@ from click.testing import CliRunner
 
 from ambrose import bundled_machines, load_machine
 from ambrose.chain import study as workflow
-from ambrose.chain.recorded_under import Reference
+from ambrose.chain.commissioning import Reference
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import static_gain
 from ambrose.judge.checks import Checks
 from ambrose.judge.controller_file import write_controller
 from ambrose.judge.result import Synthesis
-from ambrose.machine.atomic_write import write_text
+from ambrose.machine.ordinary_file import write_text
 from ambrose.registry import register, unregister
-from ambrose.rig.candidate import Candidate, check_trials
+from ambrose.rig.trial import Candidate, check_trials
 
 LAW = Synthesis(static_gain([[1.0]], ["err_A"], ["u_A"]), "pid")
 

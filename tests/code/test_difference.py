@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import ambrose as amb
-from ambrose.code.difference import Change, Difference, checksum_of, parameter_difference
+from ambrose.code.sampled import Change, Difference, checksum_of, parameter_difference
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import StateSpace
 from needs import needs

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 import ambrose as amb
 from ambrose.cli import main
 from ambrose.code.block.run import run_block
-from ambrose.code.c.compiler import find_compiler
+from ambrose.code.c.compiled import find_compiler
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.controller_file import write_controller
 from needs import needs

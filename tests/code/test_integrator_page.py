@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
-from ambrose.code.block.fixed import build_block
+from ambrose.code.block.block import build_block
 from ambrose.code.c.code import generate
 from ambrose.code.sampled import deploy
 from ambrose.judge.controller_file import write_controller
-from ambrose.law.program import ControlProgram
+from ambrose.law.law import ControlProgram
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import reduce
 from ambrose.synthesis.design import design
 from ambrose.synthesis.pid import pid_synthesis
 from needs import needs

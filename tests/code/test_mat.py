@@ -16,7 +16,7 @@ import scipy.io
 import scipy.signal
 
 from ambrose import StateSpace
-from ambrose.code.block.fixed import build_block
+from ambrose.code.block.block import build_block
 from ambrose.code.mat import FORMAT, generate_mat
 from ambrose.code.sampled import deploy
 from ambrose.core.checks import InvalidInput

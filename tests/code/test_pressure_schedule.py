@@ -12,22 +12,28 @@ from click.testing import CliRunner
 from scipy.io import loadmat
 
 from ambrose.cli import main
-from ambrose.code.block.cost import scheduled_cost, step_cost
-from ambrose.code.block.fixed import build_block
-from ambrose.code.block.run import BEHIND, CLAMPED, FAULT, TOLD, run_scheduled
+from ambrose.code.block.block import build_block
+from ambrose.code.block.run import (
+    BEHIND,
+    CLAMPED,
+    FAULT,
+    TOLD,
+    run_scheduled,
+    scheduled_cost,
+    step_cost,
+)
 from ambrose.code.block.scheduled import build_scheduled_block
 from ambrose.code.c.compiled import CompiledSchedule
 from ambrose.code.pipeline import export, machine_limits
 from ambrose.code.sampled import deploy, deploy_scheduled
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.controller_file import write_controller
-from ambrose.law.program import ScheduledProgram
+from ambrose.law.law import ScheduledProgram
 from ambrose.machine.description import Tolerance
 from ambrose.machine.file.update import save_machine
 from ambrose.model.assemble import assemble
 from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import PressureChange, PressureSensor, Pulse
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import PressureChange, PressureSensor, Pulse, Scenario
 from ambrose.synthesis.design import design
 from coarse import coarse
 from needs import needs

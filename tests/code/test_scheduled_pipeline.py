@@ -28,7 +28,7 @@ from ambrose.judge import nominal
 from ambrose.judge.checks import Check, Checks
 from ambrose.judge.controller_file import read_controller, write_controller
 from ambrose.judge.result import Certificate, Synthesis
-from ambrose.law.program import ControlProgram, ScheduledProgram
+from ambrose.law.law import ControlProgram, ScheduledProgram
 from ambrose.model.assemble import assemble
 from ambrose.rig import virtual_rig
 from ambrose.rig.engine.controller import sample_time

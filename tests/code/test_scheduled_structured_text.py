@@ -8,9 +8,17 @@ import numpy as np
 import pytest
 
 import code_driver as driver
-from ambrose.code.block.fixed import build_block
-from ambrose.code.block.run import BEHIND, CLAMPED, FAULT, HELD, LIMITED, TOLD, run_scheduled
-from ambrose.code.block.vectors import make_scheduled_vectors
+from ambrose.code.block.block import build_block
+from ambrose.code.block.run import (
+    BEHIND,
+    CLAMPED,
+    FAULT,
+    HELD,
+    LIMITED,
+    TOLD,
+    make_scheduled_vectors,
+    run_scheduled,
+)
 from ambrose.code.sampled import deploy
 from ambrose.code.structured_text import generate_structured_text
 from ambrose.core.checks import InvalidInput

@@ -13,8 +13,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import pytest
 
-from ambrose.core.arguments import names_wrong_types
-from ambrose.core.checks import InvalidInput
+from ambrose.core.checks import InvalidInput, names_wrong_types
 
 Shade = Literal["dark", "light"]
 

@@ -5,8 +5,8 @@ import math
 import pytest
 from scipy.optimize import brentq
 
-from ambrose.core.bracketed_root import bracketed_root
 from ambrose.core.checks import InvalidInput, NumericalFailure
+from ambrose.core.frequency import bracketed_root
 
 CASES = {
     "Wallis' cubic": (lambda x: x**3 - 2 * x - 5, 2.0, 3.0),

@@ -7,8 +7,8 @@ import pytest
 import scipy.linalg as sla
 from scipy.optimize import brentq
 
+from ambrose.core.aliasing import least_sensitivity
 from ambrose.core.checks import InvalidInput
-from ambrose.core.delay_limit import least_sensitivity
 
 
 @pytest.mark.parametrize("p_tau", [0.01, 0.1, 0.5, 1.0, 2.0])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ambrose.core.memory import recalled, remembering
+from ambrose.core.processes import recalled, remembering
 
 
 def test_a_result_is_made_once_within_a_run_and_anew_outside():

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ambrose.core.peak_gain import peak_gains
+from ambrose.core.frequency import peak_gains
 
 
 def summed(increment, B, steps):

@@ -5,9 +5,8 @@ rate that it shares with a block that moves every sample.
 import numpy as np
 import pytest
 
-from ambrose.core.per_turn import largest_turn_gain, turn_map, turn_map_of
 from ambrose.core.statespace import StateSpace
-from ambrose.core.synchronous import largest_gain
+from ambrose.core.synchronous import largest_gain, largest_turn_gain, turn_map, turn_map_of
 
 DT, N = 1e-3, 40
 SPEED = 2 * np.pi / (N * DT)

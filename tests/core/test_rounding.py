@@ -10,7 +10,7 @@ problem itself makes of the change). Warnings are errors here. A case gives its 
 import numpy as np
 import pytest
 
-from ambrose.core.frequency import frequency_response
+from ambrose.core.frequency import frequency_response, peak_gains
 from ambrose.core.lft import (
     ComplexBlock,
     FullBlock,
@@ -27,29 +27,27 @@ from ambrose.core.matrix_equations import (
     observability_gramian,
     solve_riccati,
 )
-from ambrose.core.matrix_inequalities.semidefinite import Inequality, minimise, svec
+from ambrose.core.matrix_inequalities import Inequality, minimise, svec
 from ambrose.core.mechanical import undamped_modes
 from ambrose.core.mu.all_frequencies import proved_below
 from ambrose.core.mu.bounds import mu_bounds, mu_peak
 from ambrose.core.norms import hinf_norm
-from ambrose.core.peak_gain import peak_gains
 from ambrose.core.rational_fit import fit_rational
-from ambrose.core.realisation.coprime import (
+from ambrose.core.realisation import (
     coprime_factors,
     exchange,
     injection_gain,
+    invariant_zeros,
+    minimal,
+    modal_form,
     observer_controller,
     residual_system,
 )
-from ambrose.core.realisation.modal_form import modal_form
-from ambrose.core.realisation.zeros import invariant_zeros, minimal
 from ambrose.core.response import expm_derivative, impulse_response
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, feedback, is_stable
-from ambrose.core.worst_case.bounds import gain_bound, proved_gain, proved_margin
-from ambrose.core.worst_case.crossing import box_margin
-from ambrose.core.worst_case.loop import box_loop, unstable_poles
-from ambrose.core.worst_case.search import worst_case_gain
+from ambrose.core.worst_case import gain_bound, proved_gain, proved_margin, worst_case_gain
+from ambrose.core.worst_case_loop import box_loop, box_margin, unstable_poles
 
 OMEGA = np.array([0.0, 0.3, 1.0, 4.0, 30.0])
 BIT = 2.0**-52

@@ -8,8 +8,15 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.core.matrix_inequalities.matrix_variables import MatrixVariable, Term
-from ambrose.core.matrix_inequalities.semidefinite import Inequality, minimise, side, smat, svec
+from ambrose.core.matrix_inequalities import (
+    Inequality,
+    MatrixVariable,
+    Term,
+    minimise,
+    side,
+    smat,
+    svec,
+)
 
 
 def problem(seed: int) -> tuple[np.ndarray, list[Inequality]]:

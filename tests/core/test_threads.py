@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import ambrose as amb
 from ambrose.cli import main
-from ambrose.core.threads import VARIABLES, in_one_thread, one_thread
+from ambrose.core.processes import VARIABLES, in_one_thread, one_thread
 
 
 def counts():
@@ -71,7 +71,7 @@ def test_the_library_computes_in_one_thread(two_threads):
 
 
 def test_a_campaign_leaves_the_environment_as_it_was(two_threads, tmp_path):
-    from ambrose.annexes.campaigns.workers import executors
+    from ambrose.annexes.campaigns.run import executors
 
     with executors("processes", 1):
         assert os.environ["OPENBLAS_NUM_THREADS"] == "1"  # which its workers inherit
@@ -80,7 +80,7 @@ def test_a_campaign_leaves_the_environment_as_it_was(two_threads, tmp_path):
 
 def test_the_command_called_by_a_program_computes_in_one_thread(two_threads, monkeypatch):
     seen = []
-    from ambrose.chain import plants
+    from ambrose.chain import stages as plants
 
     monkeypatch.setattr(
         plants,

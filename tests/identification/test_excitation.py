@@ -5,7 +5,7 @@ import pytest
 from benchmarks import waveforms
 
 from ambrose.core.checks import InvalidInput
-from ambrose.identification import excitation
+from ambrose.identification import findings as excitation
 
 
 @pytest.mark.parametrize("order", [3, 7, 10, 13])

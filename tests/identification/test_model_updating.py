@@ -10,9 +10,9 @@ import pytest
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.identification.findings import Code, Finding
-from ambrose.identification.model_updating import update_machine
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.output_error.statistics import ResidualTest
+from ambrose.identification.parameters import update_machine
 from ambrose.identification.result import LoopIdentification, Provenance
 from ambrose.identification.validation.repeatability import repeats
 from ambrose.machine.description import OperatingPoint

@@ -18,8 +18,7 @@ from ambrose.identification.parameters import nominal_values
 from ambrose.law.loop import closed_loop
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
-from ambrose.model.uncertainty import perturbed
+from ambrose.model.uncertainty import free_mode_reduction, perturbed
 from ambrose.record.record import Record
 from ambrose.synthesis.pid import pid_synthesis
 

@@ -23,7 +23,7 @@ from ambrose.identification.pipeline import Provenance, identify
 from ambrose.law.loop import closed_loop, match_controller
 from ambrose.law.pid import pid_controller
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.record.files import write_record
 from ambrose.record.record import Record
 

@@ -11,12 +11,11 @@ import ambrose as amb
 from ambrose import load_machine
 from ambrose.core.frequency import frequency_response
 from ambrose.identification.findings import Code
-from ambrose.identification.seal.stepped_sine import _Model
-from ambrose.identification.static_load.identify import bearing_forces
-from ambrose.identification.static_load.levels import Levels
+from ambrose.identification.seal.by_frequency import _Model
+from ambrose.identification.static_load import Levels, bearing_forces
 from ambrose.law.loop import closed_loop
 from ambrose.law.pid import pid_controller
-from ambrose.machine.stator import CasingMode, Support
+from ambrose.machine.part import CasingMode, Support
 from ambrose.model.assemble import assemble
 from ambrose.model.static_load import magnet_coefficients, operating_magnets
 from ambrose.rig import virtual_rig

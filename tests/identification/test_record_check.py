@@ -19,7 +19,7 @@ from ambrose.core.statespace import select
 from ambrose.identification.findings import Code
 from ambrose.law.loop import closed_loop, match_controller
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.synthesis.pid import pid_synthesis
 from one_axis_loop import levitate
 

@@ -15,8 +15,7 @@ from ambrose.identification.loop import identify_loop
 from ambrose.identification.output_error.problem import FitOptions
 from ambrose.identification.parameters import nominal_values
 from ambrose.identification.validation import suspects
-from ambrose.law.loop import closed_loop
-from ambrose.law.timing import timing_of
+from ambrose.law.loop import closed_loop, timing_of
 from ambrose.record.record import Record
 from ambrose.rig.scenario import load_scenario, read_scenario
 from linear_rig import AXES, DT, E, Y, rig

@@ -11,7 +11,6 @@ import pytest
 
 from ambrose.core.statespace import StateSpace
 from ambrose.law.pid import pid_controller
-from ambrose.machine.controller import PidSettings
 from ambrose.machine.description import (
     Amplifier,
     Coupling,
@@ -21,9 +20,7 @@ from ambrose.machine.description import (
     Requirements,
 )
 from ambrose.machine.machine import Machine
-from ambrose.machine.rotor_model import ShaftSection
-from ambrose.machine.seals import Seal
-from ambrose.machine.stator import Sensor
+from ambrose.machine.part import PidSettings, Seal, Sensor, ShaftSection
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
 

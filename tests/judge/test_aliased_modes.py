@@ -12,13 +12,11 @@ from ambrose.annexes.rotordynamics.placement import shaft_modes
 from ambrose.annexes.rotordynamics.stations import lay_out
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace
-from ambrose.judge.campbell import campbell
-from ambrose.judge.family.poles import pole_map
+from ambrose.judge.campbell import campbell, modes, pole_checks
+from ambrose.judge.exploration import pole_map
 from ambrose.judge.nominal import check
-from ambrose.judge.rotor_modes import modes, pole_checks
-from ambrose.law.loop import closed_loop, running_law
+from ambrose.law.loop import Timing, closed_loop, running_law
 from ambrose.law.pid import pid_controller
-from ambrose.law.timing import Timing
 from ambrose.machine.description import Requirements
 from ambrose.machine.file.toml import load_machine
 from ambrose.model.assemble import assemble

@@ -11,8 +11,8 @@ from ambrose.core.statespace import StateSpace, static_gain
 from ambrose.judge import nominal
 from ambrose.machine.description import OperatingPoint, Operation, Requirements
 from ambrose.model.assemble import assemble
-from ambrose.model.effects.journal_bearing import JournalBearing
-from ambrose.model.unbalance import unbalance
+from ambrose.model.effects.stations import JournalBearing
+from ambrose.model.static_load import unbalance
 
 TOP = 1000.0
 OPEN = static_gain(np.zeros((4, 4)))

@@ -12,7 +12,7 @@ from scipy.signal import lsim
 
 import ambrose as amb
 from ambrose.core.checks import InvalidInput
-from ambrose.judge.capacity import (
+from ambrose.judge.unbalance import (
     AxisLimits,
     Demand,
     axis_limits,
@@ -25,7 +25,7 @@ from ambrose.judge.capacity import (
 from ambrose.law.law import law_of
 from ambrose.machine.description import Amplifier
 from ambrose.model.assemble import assemble
-from ambrose.model.effects.load import Load
+from ambrose.model.effects.stations import Load
 from ambrose.model.static_load import magnet_coefficients
 
 R, L = 0.4, 0.02

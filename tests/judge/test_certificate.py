@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from benchmarks.published_p5 import published_p5_pid
 
-from ambrose.annexes.site.retuning.chain import designed_in_words
+from ambrose.annexes.site.retuning import designed_in_words
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
@@ -24,10 +24,17 @@ from ambrose.core.statespace import (
     static_gain,
     transfer_function,
 )
-from ambrose.judge.certificate import certify, continuous_equivalent, disk_margins, fastest_pole
-from ambrose.judge.result import Certificate, Status, Synthesis
+from ambrose.judge.result import (
+    Certificate,
+    Status,
+    Synthesis,
+    certify,
+    continuous_equivalent,
+    disk_margins,
+    fastest_pole,
+)
 from ambrose.law.pid import axes_controller
-from ambrose.machine.controller import PidSettings
+from ambrose.machine.part import PidSettings
 from eigenvalue_margins import loop_margins, opened
 
 AXES = ("A", "B")

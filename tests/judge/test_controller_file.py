@@ -21,13 +21,12 @@ from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, static_gain
 from ambrose.judge.controller_file import controller_schema, read_controller, write_controller
 from ambrose.judge.result import Certificate, Provenance, Status, Synthesis
+from ambrose.law.design_problem import Weights, control_weight, performance_weight, scale_control
 from ambrose.law.loop import match_controller
-from ambrose.law.weights import Weights, control_weight, performance_weight, scale_control
 from ambrose.machine.description import MagneticBearing, OperatingPoint
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
-from ambrose.machine.rotor_model import ShaftSection
-from ambrose.machine.stator import Sensor
+from ambrose.machine.part import Sensor, ShaftSection
 from ambrose.model.assemble import assemble
 
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")

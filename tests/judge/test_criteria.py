@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ambrose.judge.checks import Check, Checks
-from ambrose.judge.criteria import judge, zone_lines
-from ambrose.judge.criteria import zone as zone_of
+from ambrose.judge.checks import Check, Checks, judge, zone_lines
+from ambrose.judge.checks import zone as zone_of
 from ambrose.machine import criteria
 from ambrose.machine.description import Requirements
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ambrose.judge.campbell import critical_speeds, separation_check
 from ambrose.judge.checks import Curve
-from ambrose.judge.critical_speeds import critical_speeds, separation_check
 from ambrose.judge.nominal import check
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint, Requirements
 from ambrose.model.assemble import assemble
-from ambrose.model.separation import allowed_amplification, needed_damping, running_range
+from ambrose.model.static_load import allowed_amplification, needed_damping, running_range
 from coarse import coarse
 
 

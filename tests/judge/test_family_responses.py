@@ -10,16 +10,14 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import poles, select
-from ambrose.judge.family.responses import loop_over_box, pulse_family, unbalance_over_box
+from ambrose.judge.exploration import loop_over_box, pulse_family, unbalance_over_box
 from ambrose.law.loop import closed_loop
 from ambrose.law.pid import pid_controller
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import reduce
-from ambrose.model.unbalance import residual_unbalance
-from ambrose.model.uncertainty import perturbed
+from ambrose.model.static_load import residual_unbalance
+from ambrose.model.uncertainty import perturbed, reduce
 from ambrose.rig import linear
-from ambrose.rig.disturbances import Pulse
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Pulse, Scenario
 
 MACHINE = load_machine("turboexpander")
 PLANT = reduce(assemble(MACHINE, MACHINE.operation.points[4]), 1)

@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from ambrose.judge.glance import glance
+from ambrose.annexes.workbench.screens.controllers import glance
 from ambrose.judge.nominal import check
 from ambrose.judge.plants import full_plants
-from ambrose.law.loop import running_law
+from ambrose.law.loop import running_law, timing_of
 from ambrose.law.pid import pid_controller
-from ambrose.law.timing import timing_of
 from ambrose.machine.file.toml import load_machine
-from ambrose.model.reduce import default_bending_modes, reduce
+from ambrose.model.uncertainty import default_bending_modes, reduce
 
 
 @pytest.mark.parametrize("name", ["seal-rig", "flywheel"])

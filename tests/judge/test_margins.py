@@ -27,7 +27,7 @@ from ambrose.judge.loop_response import frequency_grid, loop_evaluator
 from ambrose.judge.margins import loop_margins, margin_checks, opened_loops
 from ambrose.law.loop import closed_loop, match_controller
 from ambrose.machine.description import Requirements
-from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import reduce
 from eigenvalue_margins import loop_margins as eigenvalue_margins
 from physical_numbers import physical
 

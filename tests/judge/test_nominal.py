@@ -17,11 +17,11 @@ from ambrose.core.norms import hinf_norm
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import poles, select, static_gain
 from ambrose.judge import nominal, robust
-from ambrose.judge.sensitivity import ALL_AXES
+from ambrose.judge.loop_response import ALL_AXES
 from ambrose.law.loop import closed_loop
 from ambrose.machine.description import OperatingPoint, Operation, Requirements, Tolerance
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import reduce
 
 TABLES = ("rotor_modes", "campbell", "sensitivity", "margins", "unbalance", "transient")
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ambrose.judge.loop_response import LoopResponse, frequency_grid
-from ambrose.judge.peaks import peaks_of
+from ambrose.judge.loop_response import LoopResponse, frequency_grid, peaks_of
 
 W0 = 2 * np.pi * 137.0
 

@@ -10,23 +10,21 @@ import numpy as np
 import pytest
 from benchmarks.published_p5 import published_p5, published_p5_problem, published_p5_weights
 
+from ambrose.core import worst_case as bounds
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import GeneralizedPlant, close_uncertainty, lft
 from ambrose.core.norms import hinf_norm
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select, spectral_abscissa, static_gain
-from ambrose.core.worst_case import bounds
 from ambrose.judge import robust
 from ambrose.judge.checks import Checks
-from ambrose.law.design_problem import design_plant
+from ambrose.law.design_problem import Weights, control_weight, design_plant, performance_weight
 from ambrose.law.loop import closed_loop
-from ambrose.law.weights import Weights, control_weight, performance_weight
 from ambrose.machine.description import Requirements, Tolerance
 from ambrose.model.plant import Plant
-from ambrose.model.reduce import reduce
-from ambrose.model.uncertainty import perturbed
-from ambrose.synthesis.hinf.synthesis import hinf_synthesis
+from ambrose.model.uncertainty import perturbed, reduce
+from ambrose.synthesis.hinf import hinf_synthesis
 
 K = "seal.center.k"
 SEAL = (Tolerance(K, relative=1.0),)

@@ -9,7 +9,7 @@ import pytest
 
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace
-from ambrose.judge.rotor_modes import (
+from ambrose.judge.campbell import (
     Modes,
     damping_ratio,
     direction,

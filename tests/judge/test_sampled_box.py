@@ -10,12 +10,10 @@ import pytest
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
-from ambrose.judge.certificate import certify
-from ambrose.judge.sampled import check_over_box
-from ambrose.judge.sampled_box import sampled_box
-from ambrose.law.loop import match_controller
+from ambrose.judge.result import certify
+from ambrose.judge.sampled import check_over_box, sampled_box
+from ambrose.law.loop import Timing, match_controller
 from ambrose.law.pid import pid_controller
-from ambrose.law.timing import Timing
 from ambrose.machine.description import Tolerance
 from ambrose.machine.file.toml import load_machine
 from ambrose.model.assemble import assemble

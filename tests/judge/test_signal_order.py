@@ -14,18 +14,16 @@ from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import connect, poles, rename, select
 from ambrose.judge import nominal, robust
-from ambrose.judge.along_speed import follow
-from ambrose.judge.campbell import speed_stability_check
-from ambrose.judge.certificate import certify, generalized_certificate
-from ambrose.judge.family.responses import loop_over_box
+from ambrose.judge.campbell import follow, speed_stability_check
+from ambrose.judge.exploration import loop_over_box
 from ambrose.judge.loop_response import loop_at, loop_evaluator
+from ambrose.judge.result import certify, generalized_certificate
 from ambrose.law.loop import closed_loop
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import Tolerance
-from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import reduce
 from ambrose.rig import linear, virtual_rig
-from ambrose.rig.disturbances import Pulse
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Pulse, Scenario
 from pole_sets import matched
 
 TOLERANCES = (Tolerance("seal.center.k", relative=0.5),)

@@ -7,11 +7,11 @@ import pytest
 
 from ambrose.core.statespace import StateSpace
 from ambrose.judge.exploration import PARTS, explore
-from ambrose.judge.stability import describe, judge_points, judge_stability
+from ambrose.judge.plants import describe, judge_points, judge_stability
 from ambrose.law.pid import pid_controller
 from ambrose.machine.file.toml import load_machine
 from ambrose.model.assemble import assemble
-from ambrose.report.exploration import exploration_page
+from ambrose.report.verification import exploration_page
 
 MACHINE = load_machine("two-disc-rotor")
 NOTHING = StateSpace(

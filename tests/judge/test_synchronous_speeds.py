@@ -16,13 +16,12 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import StateSpace
 from ambrose.judge import synchronous
 from ambrose.judge.synchronous import block_loops, member_margins
-from ambrose.judge.synchronous_sensitivity import Resonator, growth
+from ambrose.judge.synchronous_speeds import Resonator, growth
 from ambrose.law.pid import pid_controller
-from ambrose.law.synchronous import Condition, synchronous_loop
-from ambrose.law.synchronous_table import BlockTable, block_of
+from ambrose.law.synchronous import BlockTable, Condition, block_of, synchronous_loop
 from ambrose.machine.file.toml import loads_machine
 from ambrose.synthesis.synchronous_design import design_synchronous
-from ambrose.synthesis.synchronous_inverse import usable_tables
+from ambrose.synthesis.synchronous_gain import usable_tables
 
 REST = Condition(0.0)
 DT = 2.5e-5

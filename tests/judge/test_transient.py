@@ -12,7 +12,7 @@ import scipy.linalg as sla
 
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import static_gain
-from ambrose.judge.transient import PulseResponse, pulse_checks, pulse_response
+from ambrose.judge.nominal import PulseResponse, pulse_checks, pulse_response
 from ambrose.law.loop import closed_loop
 from ambrose.machine.criteria import CURRENT_PULSE, Pulse
 from ambrose.machine.description import Requirements

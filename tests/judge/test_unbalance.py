@@ -23,7 +23,7 @@ from ambrose.judge.unbalance import (
 )
 from ambrose.machine.description import OperatingPoint, Operation, Requirements
 from ambrose.model.assemble import assemble
-from ambrose.model.unbalance import residual_unbalance, unbalance
+from ambrose.model.static_load import residual_unbalance, unbalance
 
 BALANCED_AT = 2 * np.pi * 500
 MASS = 2.0

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.judge.checks import Check, Checks, Curve
-from ambrose.judge.verification import Verification, box_label
+from ambrose.judge.checks import Check, Checks, Curve, Verification, box_label
 
 BOX = box_label("first")
 

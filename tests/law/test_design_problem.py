@@ -19,15 +19,20 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import FullBlock, GeneralizedPlant, RealBlock, close_uncertainty, lft
 from ambrose.core.statespace import StateSpace, is_stable, select
-from ambrose.law.design_problem import design_plant, with_performance_block
+from ambrose.law.design_problem import (
+    Weights,
+    control_weight,
+    design_plant,
+    machine_weights,
+    performance_weight,
+    with_performance_block,
+)
 from ambrose.law.pid import axes_controller, pid_controller
-from ambrose.law.weights import Weights, control_weight, machine_weights, performance_weight
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
-from ambrose.model.reduce import reduce
-from ambrose.model.uncertainty import perturbed
+from ambrose.model.uncertainty import perturbed, reduce
 
 OMEGA = np.array([0.01, 1.0, 30.0, 250.0, 900.0, 1e4])
 AXES = tuple(published_p5_data()["axes"])

@@ -13,11 +13,10 @@ import pytest
 import ambrose as amb
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
-from ambrose.law.filters import chain, filter_rows, section_matrix
-from ambrose.law.pid import modes, pid_controller, theta_system
-from ambrose.machine.controller import Channel, PidSettings, Section
+from ambrose.law.pid import chain, filter_rows, modes, pid_controller, section_matrix, theta_system
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.machine.file.update import update_machine_file
+from ambrose.machine.part import Channel, PidSettings, Section
 
 RIG = amb.load_machine("seal-rig")
 COMPRESSOR = (

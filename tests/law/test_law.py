@@ -10,11 +10,10 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
-from ambrose.judge.motion import Motion, moving_proofs
+from ambrose.judge.checks import Motion, moving_proofs
 from ambrose.judge.result import Provenance, Synthesis, synthesis_of
-from ambrose.law.law import law_of
+from ambrose.law.law import PRESSURE, SPEED, law_of
 from ambrose.law.pid import pid_controller
-from ambrose.law.scheduling import PRESSURE, SPEED
 from ambrose.model.assemble import assemble
 
 RIG = load_machine("seal-rig")

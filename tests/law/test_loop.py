@@ -15,7 +15,7 @@ from ambrose.core.statespace import StateSpace, poles, rename, select, static_ga
 from ambrose.law.law import law_of
 from ambrose.law.loop import closed_loop, match_controller
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import reduce
 
 RNG = np.random.default_rng(4)
 OMEGA = np.geomspace(1, 3e3, 30)

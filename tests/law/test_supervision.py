@@ -25,8 +25,7 @@ from ambrose.law.supervision import (
     tracking_gain,
 )
 from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import PressureChange, PressureSensor, Pulse
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import PressureChange, PressureSensor, Pulse, Scenario
 from ambrose.rig.trial import simulate_scenario
 from coarse import coarse
 

@@ -15,7 +15,7 @@ from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace, is_stable, static_gain
-from ambrose.law.weights import (
+from ambrose.law.design_problem import (
     Weights,
     control_weight,
     machine_weights,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
-from ambrose.code.block.fixed import build_block
+from ambrose.code.block.block import build_block
 from ambrose.code.c.compiled import CompiledBlock, read_law
 from ambrose.code.pipeline import machine_limits
 from ambrose.code.sampled import deploy, unmet_limits
@@ -20,9 +20,9 @@ from ambrose.core.sampling import c2d, delayed
 from ambrose.judge import nominal
 from ambrose.judge.sampled import check_over_box
 from ambrose.law.design_problem import apply_delay, design_plant, design_tolerances, open_model
-from ambrose.law.timing import Timing
+from ambrose.law.loop import Timing
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import reduce
 from ambrose.rig import virtual_rig
 from ambrose.rig.scenario import load_scenario
 from ambrose.synthesis.design import design

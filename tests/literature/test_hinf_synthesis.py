@@ -15,8 +15,8 @@ from benchmarks.published_p5 import published_p5, published_p5_data, published_p
 from ambrose.core.checks import AmbroseError
 from ambrose.core.lft import GeneralizedPlant, close_uncertainty
 from ambrose.core.statespace import StateSpace, connect, select, transfer_function
-from ambrose.judge.certificate import certify
-from ambrose.synthesis.hinf.synthesis import hinf_synthesis
+from ambrose.judge.result import certify
+from ambrose.synthesis.hinf import hinf_synthesis
 from random_plants import KINDS, random_plant
 
 pytestmark = pytest.mark.literature

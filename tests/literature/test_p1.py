@@ -11,7 +11,7 @@ from ambrose import load_machine
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import close_uncertainty
 from ambrose.core.matrix_equations import balanced_realization
-from ambrose.core.realisation.coprime import (
+from ambrose.core.realisation import (
     coprime_factors,
     injection_gain,
     observer_controller,
@@ -20,16 +20,15 @@ from ambrose.core.realisation.coprime import (
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, connect, feedback, poles, select, spectral_abscissa
+from ambrose.identification import youla
 from ambrose.identification.output_error import closed_loop as whole_loop
-from ambrose.identification.youla import identify as youla
-from ambrose.identification.youla.residual_model import uncertain_residual
+from ambrose.identification.youla import uncertain_residual
 from ambrose.law.loop import closed_loop
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import Tolerance
 from ambrose.machine.parameters import operating_point
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction, reduce
-from ambrose.model.uncertainty import perturbed
+from ambrose.model.uncertainty import free_mode_reduction, perturbed, reduce
 from ambrose.record.record import Record
 
 pytestmark = [pytest.mark.literature, pytest.mark.study]

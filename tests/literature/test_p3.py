@@ -15,8 +15,7 @@ import pytest
 from ambrose.core.statespace import poles, spectral_abscissa
 from ambrose.law.loop import closed_loop
 from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import Pulse
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Pulse, Scenario
 
 pytestmark = [pytest.mark.literature, pytest.mark.study]
 FILE = Path(__file__).parents[2] / "benchmarks" / "campaign_p3.py"

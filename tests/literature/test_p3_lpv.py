@@ -13,13 +13,13 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.annexes.scheduled.lpv.machine import design_schedule
-from ambrose.judge.certificate import certify
 from ambrose.judge.loop_response import loop_evaluator
+from ambrose.judge.result import certify
 from ambrose.machine.parameters import operating_point
 from ambrose.model.assemble import assemble
 from ambrose.rig import virtual_rig
-from ambrose.rig.run_up import spin_up, steps
 from ambrose.rig.scenario import load_scenario
+from ambrose.rig.trial import spin_up, steps
 from ambrose.synthesis.design import design
 
 pytestmark = [pytest.mark.literature, pytest.mark.study]

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from benchmarks import campaign_p4_results as results
 
-from ambrose.identification.seal.model_updating import update_seal
+from ambrose.identification.seal.by_pressure import update_seal
 from ambrose.model.assemble import assemble
 
 pytestmark = pytest.mark.literature

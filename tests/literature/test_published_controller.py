@@ -23,18 +23,16 @@ from ambrose.core.response import settling_time
 from ambrose.core.statespace import StateSpace, connect, poles, rename, select, spectral_abscissa
 from ambrose.judge import robust
 from ambrose.judge.loop_response import loop_evaluator
-from ambrose.law.design_problem import design_plant
+from ambrose.law.design_problem import design_plant, machine_weights, scale_control
 from ambrose.law.loop import closed_loop
-from ambrose.law.weights import machine_weights, scale_control
 from ambrose.machine.description import Tolerance
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import reduce
-from ambrose.model.uncertainty import perturbed
+from ambrose.model.uncertainty import perturbed, reduce
 from ambrose.rig import linear, virtual_rig
 from ambrose.rig.scenario import load_scenario
 from ambrose.rig.trace import settling
 from ambrose.synthesis.design import design
-from ambrose.synthesis.hinf.synthesis import hinf_synthesis
+from ambrose.synthesis.hinf import hinf_synthesis
 
 pytestmark = pytest.mark.literature
 HZ = 2 * np.pi

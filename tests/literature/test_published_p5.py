@@ -13,7 +13,7 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import close_uncertainty
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, connect, rename, select, spectral_abscissa
-from ambrose.judge.certificate import certify
+from ambrose.judge.result import certify
 from ambrose.law.pid import axes_controller
 
 pytestmark = pytest.mark.literature

@@ -16,7 +16,7 @@ from benchmarks.published_p5 import (
 
 from ambrose.judge import robust
 from ambrose.law.pid import axes_controller
-from ambrose.synthesis.hinf.synthesis import hinf_synthesis
+from ambrose.synthesis.hinf import hinf_synthesis
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch, tune_control_weight
 
 pytestmark = pytest.mark.literature
@@ -79,7 +79,7 @@ def test_tuning_finds_the_published_weight():
     """Started ten times off, the search for the PID's gains comes back to W_u near 0.315, the value
     inferred from the print.
     """
-    from ambrose.law.weights import scale_control
+    from ambrose.law.design_problem import scale_control
 
     found = tune_control_weight(
         published_p5(),

@@ -15,18 +15,17 @@ from ambrose import load_machine
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace, poles, select
 from ambrose.judge import nominal, robust
-from ambrose.law.design_problem import design_plant
+from ambrose.law.design_problem import design_plant, machine_weights, scale_control
 from ambrose.law.loop import closed_loop
 from ambrose.law.pid import pid_controller
-from ambrose.law.weights import machine_weights, scale_control
 from ambrose.machine.description import OperatingPoint
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import reduce
 from ambrose.rig import linear
 from ambrose.rig.scenario import load_scenario
 from ambrose.rig.trace import settling
 from ambrose.synthesis.design import design
-from ambrose.synthesis.hinf.synthesis import hinf_synthesis
+from ambrose.synthesis.hinf import hinf_synthesis
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch
 
 pytestmark = [pytest.mark.literature, pytest.mark.study]

@@ -15,7 +15,7 @@ import pytest
 
 import ambrose as amb
 from ambrose.annexes.rotordynamics import standard
-from ambrose.annexes.rotordynamics.clearances import largest_reading, rubs
+from ambrose.annexes.rotordynamics.items import largest_reading, rubs
 from ambrose.annexes.rotordynamics.loop import shaft_loop
 from ambrose.annexes.rotordynamics.placement import place, shaft_modes
 from ambrose.annexes.rotordynamics.response import respond

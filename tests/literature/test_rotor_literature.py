@@ -24,14 +24,14 @@ from ambrose.core.statespace import poles
 from ambrose.machine.description import Amplifier, MachineDescription
 from ambrose.machine.file.toml import load_machine
 from ambrose.machine.machine import Machine
-from ambrose.machine.rotor_model import Disc, Material, ShaftSection
-from ambrose.model.effects.journal_bearing import JournalBearing
+from ambrose.machine.part import Disc, Material, ShaftSection
 from ambrose.model.effects.rotor import (
     displacement_row,
     finite_element_rotor,
     mass_properties,
     plane_rows,
 )
+from ambrose.model.effects.stations import JournalBearing
 
 pytestmark = pytest.mark.literature
 

@@ -22,19 +22,8 @@ from hypothesis import strategies as st
 from ambrose.core.checks import InvalidInput
 from ambrose.machine import description as d
 from ambrose.machine import thrust as t
-from ambrose.machine.chain import ChainElement
-from ambrose.machine.controller import (
-    CONTROLLER_COORDINATES,
-    MODES,
-    SECTIONS,
-    Channel,
-    Notch,
-    PidSettings,
-    Section,
-)
 from ambrose.machine.file import update
-from ambrose.machine.file.json_schema import machine_schema
-from ambrose.machine.file.tables import Table, machine_file, table_below
+from ambrose.machine.file.tables import Table, machine_file, machine_schema, table_below
 from ambrose.machine.file.toml import (
     bundled_machines,
     dumps_machine,
@@ -44,24 +33,37 @@ from ambrose.machine.file.toml import (
 )
 from ambrose.machine.file.update import save_machine
 from ambrose.machine.machine import Machine
-from ambrose.machine.magnet import Magnet
-from ambrose.machine.rotor_model import BendingMode, Disc, Material, ShaftSection
-from ambrose.machine.seals import (
+from ambrose.machine.part import (
+    CONTROLLER_COORDINATES,
     FREQUENCY_DEPENDENCE,
+    MODES,
     SEAL_AXES,
     SEAL_COEFFICIENTS,
+    SECTIONS,
+    BendingMode,
+    CasingMode,
+    ChainElement,
+    Channel,
+    CoastDown,
+    Disc,
     GasSealGeometry,
+    Magnet,
+    Material,
+    Notch,
+    PidSettings,
+    Runout,
     Seal,
     SealTable,
+    Section,
+    Sensor,
+    ShaftSection,
+    Support,
+    Synchronous,
+    TouchdownLimits,
+    TouchdownMount,
+    TouchdownRace,
 )
-from ambrose.machine.stator import CasingMode, Runout, Sensor, Support
-from ambrose.machine.synchronous import Synchronous
-from ambrose.machine.touchdown import CoastDown, TouchdownLimits, TouchdownMount, TouchdownRace
-from ambrose.model.effects.clearance import Clearance
-from ambrose.model.effects.journal_bearing import JournalBearing
-from ambrose.model.effects.load import Load
-from ambrose.model.effects.probe import Probe
-from ambrose.model.effects.stage import Stage
+from ambrose.model.effects.stations import Clearance, JournalBearing, Load, Probe, Stage
 from physical_numbers import physical
 
 HERE = Path(__file__).parent
@@ -941,7 +943,7 @@ class TestSchema:
     def test_committed_schema_is_current(self):
         committed = json.loads((ROOT / "docs" / "machine.schema.json").read_text())
         assert committed == machine_schema(), (
-            "write it anew: python -m ambrose.machine.file.json_schema docs/machine.schema.json"
+            "write it anew: python -m ambrose.machine.file.tables docs/machine.schema.json"
         )
 
     def test_it_is_a_schema(self):

@@ -17,14 +17,13 @@ from pathlib import Path
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.atomic_write import INTERRUPTED, set_aside, write_files, write_text
-from ambrose.machine.claim import claimed
+from ambrose.machine.ordinary_file import INTERRUPTED, claimed, set_aside, write_files, write_text
 from needs import lacking
 
 TESTS = Path(__file__).parents[1]
 HOLD = """
 import sys
-from ambrose.machine.claim import claimed
+from ambrose.machine.ordinary_file import claimed
 with claimed(sys.argv[1], "file"):
     print("held", flush=True)
     sys.stdin.read()

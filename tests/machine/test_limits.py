@@ -23,14 +23,14 @@ from benchmarks import fuzz_files
 
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.controller_file import read_controller
-from ambrose.machine import limits
+from ambrose.machine import ordinary_file as limits
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.file.toml import loads_machine
-from ambrose.machine.rotor_model import ShaftSection
-from ambrose.record import apart, csv_file, hdf5_file
-from ambrose.record.column_map import Column, ColumnMap, load_columns
+from ambrose.machine.part import ShaftSection
+from ambrose.record import apart, hdf5_file
+from ambrose.record import files as csv_file
 from ambrose.record.files import read_record, write_record
-from ambrose.record.foreign import read_foreign
+from ambrose.record.foreign import Column, ColumnMap, load_columns, read_foreign
 from ambrose.record.record import Record
 from ambrose.rig.scenario import load_scenario
 

@@ -11,7 +11,7 @@ import pytest
 from ambrose.core.presentation import Presented
 from ambrose.machine import description as d
 from ambrose.machine.file.toml import bundled_machines, dumps_machine, load_machine, loads_machine
-from ambrose.machine.rotor_model import Disc
+from ambrose.machine.part import Disc
 
 SMALL = str(Path(__file__).with_name("small.toml"))
 

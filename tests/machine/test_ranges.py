@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from ambrose.chain.check_entries import entry_doubts
+from ambrose.chain.check import entry_doubts
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.file.tables import machine_file, table_below
 from ambrose.machine.file.toml import bundled_machines, load_machine, loads_machine

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
+from ambrose.machine.attachment import mesh, stations
 from ambrose.machine.description import MachineDescription
 from ambrose.machine.file.ross import off_nodes, parse_ross, ross_text, rotor_of_ross
 from ambrose.machine.file.stations import read_rotor, rotor_of_stations
 from ambrose.machine.file.toml import load_machine
-from ambrose.machine.mesh import mesh, stations
 from ambrose.model.effects.rotor import (
     finite_element_rotor,
     free_bending_frequencies,

@@ -15,8 +15,7 @@ from ambrose.machine.parameters import operating_point
 from ambrose.model.assemble import assemble, seal_coefficients
 from ambrose.model.effects.bulkflow import Friction, SealCondition, SealGeometry, air, bulk_flow
 from ambrose.model.effects.seal import coefficients
-from ambrose.model.reduce import reduce
-from ambrose.model.uncertainty import uncertain
+from ambrose.model.uncertainty import reduce, uncertain
 
 MACHINE = load_machine("turboexpander")
 PISTON = MACHINE.seals[0]

@@ -7,7 +7,7 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.file.toml import bundled_machines, load_machine
-from ambrose.machine.seals import SealTable
+from ambrose.machine.part import SealTable
 
 RIG, K_ONLY = load_machine("seal-rig"), load_machine("seal-rig-k-only")
 

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.controller import PidSettings
 from ambrose.machine.file.toml import dumps_machine, load_machine
-from ambrose.machine.synchronous import Synchronous
+from ambrose.machine.part import PidSettings, Synchronous
 
 ONE = tuple(tuple(tuple(row) for row in np.eye(4).tolist()) for _ in range(2))
 

@@ -9,8 +9,8 @@ import pytest
 
 from ambrose.law.loop import closed_loop
 from ambrose.law.pid import pid_controller
+from ambrose.machine.attachment import mesh
 from ambrose.machine.file.toml import bundled_machines, load_machine
-from ambrose.machine.mesh import mesh
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.rotor import (
     finite_element_rotor,

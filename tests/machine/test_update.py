@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.controller import Channel, PidSettings, Section
 from ambrose.machine.description import BiasPoint, Tolerance
 from ambrose.machine.file import update
 from ambrose.machine.file.toml import (
@@ -21,8 +20,7 @@ from ambrose.machine.file.toml import (
     read_machine_text,
 )
 from ambrose.machine.file.update import machine_text, save_machine, update_machine_file
-from ambrose.machine.rotor_model import Material
-from ambrose.machine.seals import SealTable
+from ambrose.machine.part import Channel, Material, PidSettings, SealTable, Section
 
 SMALL = str(Path(__file__).with_name("small.toml"))
 ODD = """# a rig on one page

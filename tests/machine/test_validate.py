@@ -10,13 +10,10 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.controller import Channel, PidSettings
 from ambrose.machine.description import Amplifier, MagnetIron, Tolerance, Touchdown
 from ambrose.machine.file.toml import load_machine
 from ambrose.machine.machine import Machine
-from ambrose.machine.rotor_model import ShaftSection
-from ambrose.machine.seals import SealTable
-from ambrose.machine.stator import Runout
+from ambrose.machine.part import Channel, PidSettings, Runout, SealTable, ShaftSection
 from ambrose.machine.validation.machine import InvalidMachine, check_machine, problems
 
 SMALL = load_machine(Path(__file__).with_name("small.toml"))

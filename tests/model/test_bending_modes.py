@@ -16,7 +16,7 @@ from ambrose.core.statespace import poles
 from ambrose.machine.description import Tolerance
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.machine.machine import Machine
-from ambrose.machine.rotor_model import BendingMode
+from ambrose.machine.part import BendingMode
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.rotor import (
     finite_element_rotor,
@@ -24,9 +24,8 @@ from ambrose.model.effects.rotor import (
     free_modes,
     mass_properties,
 )
-from ambrose.model.reduce import free_mode_reduction
 from ambrose.model.static_load import static_sag
-from ambrose.model.uncertainty import perturbed
+from ambrose.model.uncertainty import free_mode_reduction, perturbed
 from ambrose.rig.engine.state import build
 
 

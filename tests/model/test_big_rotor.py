@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 import ambrose as amb
-from ambrose.chain.plants import facts
+from ambrose.chain.stages import facts
 from ambrose.core import mechanical
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.mechanical import undamped_modes
 from ambrose.core.statespace import poles, select
 from ambrose.machine.description import MachineDescription
-from ambrose.machine.limits import FINE_MESH_MODES
+from ambrose.machine.ordinary_file import FINE_MESH_MODES
 from ambrose.machine.parameters import find_parameter
 from ambrose.model import assemble as assembly
-from ambrose.model.basis import bending_modes_of
+from ambrose.model.assemble import bending_modes_of
 from ambrose.model.effects.rotor import (
     finite_element_rotor,
     free_bending_frequencies,

@@ -7,8 +7,7 @@ import pytest
 import scipy.linalg as sla
 
 import ambrose as amb
-from ambrose.model.basis import in_plane, modes_of, port_positions
-from ambrose.model.cut_modes import compliance_error_bound
+from ambrose.model.assemble import compliance_error_bound, in_plane, modes_of, port_positions
 from ambrose.model.effects.rotor import finite_element_rotor, plane_rows
 
 

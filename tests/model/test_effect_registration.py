@@ -22,23 +22,21 @@ from ambrose.core.statespace import poles
 from ambrose.machine.attachment import TILTED, by_table
 from ambrose.machine.description import Coupling, Tolerance
 from ambrose.machine.file.annotated import annotated_machine
-from ambrose.machine.file.json_schema import machine_schema
+from ambrose.machine.file.tables import machine_schema
 from ambrose.machine.file.toml import dumps_machine, loads_machine, machine_hash
 from ambrose.machine.file.update import update_machine_file
 from ambrose.machine.kinds import Angle, Length, Name, Quantity, Rate, StiffnessPair
 from ambrose.machine.part import Part
-from ambrose.machine.validation.signs import not_positive
+from ambrose.machine.validation.parts import not_positive
 from ambrose.model.assemble import assemble
 from ambrose.model.effect import Action, Effect, Reaction
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
-from ambrose.model.reduce import free_mode_reduction, modal_reduction
-from ambrose.model.uncertainty import perturbed
+from ambrose.model.uncertainty import free_mode_reduction, modal_reduction, perturbed
 from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import Pulse
 from ambrose.rig.engine.equilibrium import linear_view, slope, state_at_rest
 from ambrose.rig.engine.inputs import plan, stretch
 from ambrose.rig.engine.state import build
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Pulse, Scenario
 from pole_sets import matched
 
 # ---- the file of the effect

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
-import ambrose.model.reduce
+import ambrose.model.uncertainty
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.frequency import frequency_response
@@ -18,15 +18,15 @@ from ambrose.machine.description import OperatingPoint
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.rotor import finite_element_rotor, free_bending_frequencies
 from ambrose.model.plant import top_speed
-from ambrose.model.reduce import (
+from ambrose.model.uncertainty import (
     default_bending_modes,
     free_mode_reduction,
     modal_reduction,
     reduce,
     reduce_from,
     split_slow,
+    uncertain,
 )
-from ambrose.model.uncertainty import uncertain
 
 MACHINES = {"seal-rig": None, "turboexpander": None}
 
@@ -230,15 +230,17 @@ def test_modes_that_coincide_are_kept_together():
     small = reduce_from(assemble(machine), 1)
     assert small.bending_modes == 1
     with pytest.MonkeyPatch.context() as patch:
-        parted = ambrose.model.reduce.reduce
+        parted = ambrose.model.uncertainty.reduce
 
         def coincide(plant, count):
             if count < 3:
                 raise NumericalFailure("cannot be parted")
             return parted(plant, count)
 
-        patch.setattr(ambrose.model.reduce, "reduce", coincide)
+        patch.setattr(ambrose.model.uncertainty, "reduce", coincide)
         assert reduce_from(assemble(machine), 1).bending_modes == 3
         with pytest.raises(NumericalFailure):
-            patch.setattr(ambrose.model.reduce, "reduce", lambda plant, count: coincide(plant, 0))
+            patch.setattr(
+                ambrose.model.uncertainty, "reduce", lambda plant, count: coincide(plant, 0)
+            )
             reduce_from(assemble(machine), 1)

@@ -15,8 +15,13 @@ from ambrose.machine.parameters import operating_point
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.seal_rational import linearised, rational
 from ambrose.model.plant import Plant
-from ambrose.model.reduce import free_mode_reduction, modal_reduction, reduce
-from ambrose.model.uncertainty import perturbed, uncertain
+from ambrose.model.uncertainty import (
+    free_mode_reduction,
+    modal_reduction,
+    perturbed,
+    reduce,
+    uncertain,
+)
 
 MACHINE = load_machine("turboexpander")
 STATES = replace(

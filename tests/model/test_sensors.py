@@ -14,15 +14,13 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import select
 from ambrose.law.loop import closed_loop
 from ambrose.law.pid import mixings, pid_controller
-from ambrose.machine.controller import PidSettings
 from ambrose.machine.file.toml import dumps_machine, loads_machine
-from ambrose.machine.stator import Runout
+from ambrose.machine.part import PidSettings, Runout
 from ambrose.model.assemble import assemble
 from ambrose.model.effects import sensor
-from ambrose.model.ports import measured_ports, sensor_ports, sensor_turn
+from ambrose.model.plant import measured_ports, sensor_ports, sensor_turn
 from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import Pulse
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Pulse, Scenario
 from ambrose.synthesis.fixed_order.structure import axis_groups
 
 RIG = load_machine("seal-rig")

@@ -16,12 +16,11 @@ from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.machine.file.update import update_machine_file
-from ambrose.machine.stator import CasingMode, Support
+from ambrose.machine.part import CasingMode, Support
 from ambrose.model.assemble import assemble
 from ambrose.model.effects import magnet
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
-from ambrose.model.reduce import free_mode_reduction, modal_reduction, reduce
-from ambrose.model.uncertainty import perturbed
+from ambrose.model.uncertainty import free_mode_reduction, modal_reduction, perturbed, reduce
 
 RIG = load_machine("seal-rig")
 STILL = OperatingPoint()

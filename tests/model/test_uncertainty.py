@@ -11,10 +11,9 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import RealBlock, close_uncertainty
 from ambrose.core.statespace import select
 from ambrose.machine.description import Amplifier, Tolerance
-from ambrose.machine.seals import SealTable
+from ambrose.machine.part import SealTable
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction, reduce
-from ambrose.model.uncertainty import family, perturbed, uncertain
+from ambrose.model.uncertainty import family, free_mode_reduction, perturbed, reduce, uncertain
 from coarse import coarse
 
 OMEGA = np.array([1.0, 100.0, 500.0, 3000.0, 12000.0])

@@ -15,10 +15,9 @@ import scipy.io
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import OperatingPoint
 from ambrose.record import foreign
-from ambrose.record.column_map import Column, ColumnMap, load_columns, read_columns
+from ambrose.record.apart import read_variables
 from ambrose.record.files import read_record, write_record
-from ambrose.record.foreign import read_foreign
-from ambrose.record.mat_tdms import read_variables
+from ambrose.record.foreign import Column, ColumnMap, load_columns, read_columns, read_foreign
 from ambrose.record.record import Record
 
 

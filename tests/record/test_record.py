@@ -13,8 +13,8 @@ import pytest
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import OperatingPoint
 from ambrose.record import apart
-from ambrose.record.attributes import RecordAttributes, read_attributes, record_schema
 from ambrose.record.files import read_record, write_record
+from ambrose.record.hdf5_file import RecordAttributes, read_attributes, record_schema
 from ambrose.record.record import RESERVED, Record, si_values, signal_dimension
 
 ROOT = Path(__file__).parents[2]
@@ -388,7 +388,7 @@ class TestSchema:
     def test_committed_schema_is_current(self):
         committed = json.loads((ROOT / "docs" / "record.schema.json").read_text(encoding="utf-8"))
         assert committed == record_schema(), (
-            "write it anew: python -m ambrose.record.attributes docs/record.schema.json"
+            "write it anew: python -m ambrose.record.hdf5_file docs/record.schema.json"
         )
 
     def test_it_knows_the_keys_that_the_format_reserves(self):

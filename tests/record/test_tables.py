@@ -11,8 +11,8 @@ from click.testing import CliRunner
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.record import foreign
+from ambrose.record.apart import read_variables
 from ambrose.record.foreign import read_foreign
-from ambrose.record.mat_tdms import read_variables
 
 POINT = {"speed": 0, "seal_pressure": 0}
 

@@ -18,15 +18,15 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import OperatingPoint
 from ambrose.record.files import read_record, write_record
 from ambrose.record.record import Record
+from ambrose.record.stream import RecordWriter, partial_path
 from ambrose.record.stream import block as stream_block
-from ambrose.record.writer import RecordWriter, partial_path
 
 POINT = OperatingPoint(speed=1200.0, seal_pressure=2.04e5, label="nominal")
 SIGNALS, UNITS = ("y_A_zeta", "i_A_zeta", "f_center_x"), ("m", "A", "N")
 WRITER = """
 import sys, time
 import numpy as np
-from ambrose.record.writer import RecordWriter
+from ambrose.record.stream import RecordWriter
 signals = tuple(f"y_{i}" for i in range(8))
 with RecordWriter(sys.argv[1], "rig", 10e3, signals, ("m",) * 8, chunk=int(sys.argv[3])) as writer:
     start, count = 0, int(sys.argv[2])

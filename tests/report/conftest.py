@@ -16,9 +16,7 @@ from ambrose.machine.description import (
     Operation,
 )
 from ambrose.machine.machine import Machine
-from ambrose.machine.rotor_model import Disc, ShaftSection
-from ambrose.machine.seals import Seal
-from ambrose.machine.stator import Sensor
+from ambrose.machine.part import Disc, Seal, Sensor, ShaftSection
 
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
 ZONES = (("zone A/B", 3.0), ("zone B/C", 4.0), ("zone C/D", 5.0))

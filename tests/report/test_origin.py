@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from ambrose.core.statespace import static_gain
+from ambrose.judge.checks import Verification
 from ambrose.judge.result import Synthesis
 from ambrose.judge.verdict import verify_controller
-from ambrose.judge.verification import Verification
 from ambrose.law.law import law_of
 from ambrose.machine.file.toml import load_machine, machine_hash
-from ambrose.report import record, synchronous, verification
+from ambrose.report import record, verification
+from ambrose.report import verification as synchronous
 from ambrose.report.page import page_of
 from ambrose.rig.scenario import Scenario
 from ambrose.rig.trial import simulate_scenario

@@ -17,8 +17,7 @@ import pytest
 
 from ambrose import __version__
 from ambrose.core.checks import InvalidInput
-from ambrose.judge.checks import Check, Checks, Curve
-from ambrose.judge.verification import Verification
+from ambrose.judge.checks import Check, Checks, Curve, Verification
 from ambrose.machine.machine import Machine
 from ambrose.registry import registered, resolve
 from ambrose.report import page as document

@@ -2,12 +2,11 @@
 
 import numpy as np
 
+from ambrose.annexes.workbench.svg import nyquist_figure, svg
 from ambrose.judge.checks import Curve
 from ambrose.report import theme
 from ambrose.report.figures.curves import figure
-from ambrose.report.figures.nyquist import nyquist_figure
-from ambrose.report.plain_figure import PlainFigure
-from ambrose.report.svg import svg
+from ambrose.report.theme import PlainFigure
 
 
 def pictures():

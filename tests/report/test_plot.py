@@ -20,18 +20,17 @@ from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
-from ambrose.judge.checks import Checks
+from ambrose.judge.checks import Checks, Verification
 from ambrose.judge.result import Certificate, Status, Synthesis
-from ambrose.judge.verification import Verification
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import reduce
 from ambrose.record.record import Record
 from ambrose.report.figures.bode import entries, grid_of, phase
 from ambrose.report.plot import plot
-from ambrose.rig.candidate import Candidate
 from ambrose.rig.trace import Trace
+from ambrose.rig.trial import Candidate
 
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
 

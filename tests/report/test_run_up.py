@@ -7,9 +7,9 @@ import pytest
 
 from ambrose.machine.description import OperatingPoint
 from ambrose.record.record import Record
-from ambrose.report.study import run_up_section
-from ambrose.rig.run_up import Step
+from ambrose.report.comparison import run_up_section
 from ambrose.rig.trace import Trace
+from ambrose.rig.trial import Step
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from ambrose.report import units
+from ambrose.report import theme as units
 
 
 @pytest.mark.parametrize(

@@ -11,13 +11,12 @@ import pytest
 from scipy.optimize import brentq
 
 import ambrose as amb
+from ambrose.code.all_axes import CompiledAxes
 from ambrose.code.block.run import run_block
-from ambrose.code.compiled_axes import CompiledAxes
 from ambrose.core.checks import InvalidInput
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
 from ambrose.report.record import record_page
-from ambrose.rig.disturbances import Failure, Pulse, SpeedChange, Unbalance
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Failure, Pulse, Scenario, SpeedChange, Unbalance
 from needs import needs
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "expander-five-axes.toml"

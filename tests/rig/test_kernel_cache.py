@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from numba.core.caching import UserProvidedCacheLocator
 
-from ambrose.rig.engine.cache import compile_kept, is_kept, private_folder
 from ambrose.rig.engine.kernel import entry_points
+from ambrose.rig.engine.products import compile_kept, is_kept, private_folder
 
 
 @pytest.mark.parametrize(("free", "kept"), [(1 << 30, True), (1 << 20, False)])

@@ -21,11 +21,10 @@ from ambrose.law.loop import closed_loop
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.record.files import read_record, write_record
 from ambrose.rig import linear
-from ambrose.rig.disturbances import Pulse, Sine, Unbalance
-from ambrose.rig.scenario import Scenario, bundled_scenarios, load_scenario
+from ambrose.rig.scenario import Pulse, Scenario, Sine, Unbalance, bundled_scenarios, load_scenario
 from ambrose.rig.trace import Trace, peaks, settling
 from physical_numbers import physical
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 import ambrose as amb
+from ambrose.annexes.workbench.rig import LiveRig
 from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import Failure, PressureChange, Pulse, SpeedChange
-from ambrose.rig.live import LiveRig
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Failure, PressureChange, Pulse, Scenario, SpeedChange
 
 RIG = amb.load_machine("seal-rig")
 PID = amb.design(RIG, "pid")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ambrose.machine.file.toml import load_machine
-from ambrose.rig.engine.outcome import Lift, Watch, classify_outcome
+from ambrose.rig.engine.record import Lift, Watch, classify_outcome
 from ambrose.rig.engine.state import build
 from ambrose.rig.scenario import Scenario
 

@@ -13,18 +13,23 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, spectral_abscissa
-from ambrose.law.loop import closed_loop
+from ambrose.law.loop import Timing, closed_loop
 from ambrose.law.pid import pid_controller
-from ambrose.law.timing import Timing
 from ambrose.machine.file.toml import load_machine
 from ambrose.model.assemble import assemble
 from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import PressureChange, PressureSensor, Pulse, SpeedChange, sensed
 from ambrose.rig.engine.inputs import plan, stretch
 from ambrose.rig.engine.state import build
-from ambrose.rig.run_up import spin_up
-from ambrose.rig.scenario import Scenario, read_scenario
-from ambrose.rig.trial import simulate_linear
+from ambrose.rig.scenario import (
+    PressureChange,
+    PressureSensor,
+    Pulse,
+    Scenario,
+    SpeedChange,
+    read_scenario,
+    sensed,
+)
+from ambrose.rig.trial import simulate_linear, spin_up
 from coarse import coarse
 
 RIG = coarse("seal-rig")

@@ -16,12 +16,11 @@ from ambrose.core.statespace import StateSpace, select
 from ambrose.law.loop import closed_loop
 from ambrose.machine.description import OperatingPoint
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.record.record import Record
-from ambrose.rig.disturbances import Pulse
-from ambrose.rig.run_up import loops_along, spin_up, steps
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Pulse, Scenario
 from ambrose.rig.trace import Trace
+from ambrose.rig.trial import loops_along, spin_up, steps
 from ambrose.synthesis.pid import pid_synthesis
 from coarse import coarse
 

@@ -25,18 +25,15 @@ from ambrose.law.loop import closed_loop
 from ambrose.law.pid import pid_controller
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
-from ambrose.machine.rotor_model import ShaftSection
-from ambrose.machine.seals import SealTable
+from ambrose.machine.part import SealTable, ShaftSection
 from ambrose.model.assemble import assemble, attached_rotor, wire
 from ambrose.model.effects import amplifier, magnet, sensor
 from ambrose.model.effects.rotor import finite_element_rotor
 from ambrose.model.plant import Plant
-from ambrose.model.reduce import free_mode_reduction, reduce
+from ambrose.model.uncertainty import free_mode_reduction, reduce
 from ambrose.rig import linear
-from ambrose.rig.disturbances import Pulse, Unbalance
-from ambrose.rig.run_up import spin_up
-from ambrose.rig.scenario import Scenario
-from ambrose.rig.trial import simulate_linear
+from ambrose.rig.scenario import Pulse, Scenario, Unbalance
+from ambrose.rig.trial import simulate_linear, spin_up
 
 # rad/s; of the table
 LOW = 60.0

@@ -11,11 +11,10 @@ import ambrose as amb
 from ambrose.core.checks import InvalidInput, same_clock
 from ambrose.core.statespace import StateSpace, series
 from ambrose.identification.output_error.problem import check_records
-from ambrose.law.timing import Timing, machine_timing, timing_of
-from ambrose.rig.disturbances import Prbs, Pulse
-from ambrose.rig.scenario import Scenario, bundled_scenarios, load_scenario
+from ambrose.law.loop import Timing, machine_timing, timing_of
+from ambrose.rig.linear import waveforms
+from ambrose.rig.scenario import Prbs, Pulse, Scenario, bundled_scenarios, load_scenario
 from ambrose.rig.virtual_rig import check_scenario
-from ambrose.rig.waveforms import waveforms
 
 WRITTEN, TRUE = 66.667e-6, 1 / 15e3  # 15 kHz as a machine file has it, 5 ppm off
 

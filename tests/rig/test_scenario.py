@@ -7,9 +7,18 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.file.toml import load_machine
-from ambrose.rig.disturbances import Chirp, Prbs, Pulse, Sine, Unbalance
-from ambrose.rig.scenario import Scenario, bundled_scenarios, load_scenario, read_scenario
-from ambrose.rig.waveforms import waveforms
+from ambrose.rig.linear import waveforms
+from ambrose.rig.scenario import (
+    Chirp,
+    Prbs,
+    Pulse,
+    Scenario,
+    Sine,
+    Unbalance,
+    bundled_scenarios,
+    load_scenario,
+    read_scenario,
+)
 
 FORCES = ("f_A_zeta", "f_A_eta", "f_center_x", "f_center_y")
 

@@ -11,11 +11,10 @@ from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
 from ambrose.judge.result import Synthesis
 from ambrose.law.law import law_of
+from ambrose.law.loop import Timing
 from ambrose.law.pid import pid_controller
-from ambrose.law.timing import Timing
-from ambrose.machine.synchronous import Synchronous
-from ambrose.rig.disturbances import Unbalance
-from ambrose.rig.scenario import Scenario
+from ambrose.machine.part import Synchronous
+from ambrose.rig.scenario import Scenario, Unbalance
 from ambrose.rig.synchronous import beside_law
 
 HOLD = Scenario("hold", 0.6, unbalances=(Unbalance("upper", 40e-6),), speed=800.0)

@@ -11,12 +11,11 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.law.law import law_of
+from ambrose.law.law import BOTH, PRESSURE, SPEED, law_of
 from ambrose.law.loop import match_controller
-from ambrose.law.scheduling import BOTH, PRESSURE, SPEED
 from ambrose.model.assemble import assemble
 from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import PressureChange, PressureSensor, Pulse, SpeedChange
+from ambrose.rig.scenario import PressureChange, PressureSensor, Pulse, SpeedChange
 from ambrose.rig.trial import simulate_linear
 from rig.test_pressure_schedule import PID, RIG, SCHEDULE, SURGE, ZERO, Y, stiffer
 

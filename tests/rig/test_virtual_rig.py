@@ -11,12 +11,11 @@ from ambrose import StateSpace, load_machine
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint, Touchdown
-from ambrose.machine.limits import LARGEST_SAMPLE
-from ambrose.machine.stator import Runout
+from ambrose.machine.ordinary_file import LARGEST_SAMPLE
+from ambrose.machine.part import Runout
 from ambrose.record.files import read_record
 from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import Failure, PressureChange, Pulse
-from ambrose.rig.scenario import Scenario, load_scenario
+from ambrose.rig.scenario import Failure, PressureChange, Pulse, Scenario, load_scenario
 from run_ups import RUN_UP
 
 RIG = load_machine("seal-rig")

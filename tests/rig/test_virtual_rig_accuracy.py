@@ -11,20 +11,17 @@ from ambrose import load_machine
 from ambrose.core.sampling import c2d
 from ambrose.law.loop import closed_loop
 from ambrose.law.pid import pid_controller
-from ambrose.machine.controller import PidSettings
 from ambrose.machine.description import Amplifier, Coupling, OperatingPoint
-from ambrose.machine.stator import CasingMode, Support
+from ambrose.machine.part import CasingMode, PidSettings, Support
 from ambrose.model.assemble import assemble
 from ambrose.model.effects import magnet
-from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.rig import linear, virtual_rig
-from ambrose.rig.disturbances import Prbs, Pulse, Unbalance
 from ambrose.rig.engine.controller import NO_PROGRAM, sampled_law
-from ambrose.rig.engine.equilibrium import state_at_rest
+from ambrose.rig.engine.equilibrium import propagator, state_at_rest
 from ambrose.rig.engine.inputs import plan, stretch
-from ambrose.rig.engine.propagator import propagator
 from ambrose.rig.engine.state import build, compiled
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Prbs, Pulse, Scenario, Unbalance
 from run_ups import RUN_UP
 
 RIG = load_machine("seal-rig")

@@ -10,19 +10,19 @@ import pytest
 from ambrose import load_machine
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import Amplifier
-from ambrose.machine.stator import CasingMode, Runout, Support
+from ambrose.machine.part import CasingMode, Runout, Support
 from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import (
+from ambrose.rig.engine import equilibrium as propagator
+from ambrose.rig.scenario import (
     Failure,
     Prbs,
     PressureChange,
     Pulse,
+    Scenario,
     Sine,
     SpeedChange,
     Unbalance,
 )
-from ambrose.rig.engine import propagator
-from ambrose.rig.scenario import Scenario
 
 RIG = load_machine("seal-rig")
 EXPANDER = load_machine("turboexpander")

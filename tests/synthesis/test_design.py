@@ -12,16 +12,15 @@ import pytest
 from ambrose.annexes.scheduled.lpv.method import Lpv
 from ambrose.annexes.scheduled.lpv.synthesis import lpv_synthesis
 from ambrose.core.checks import InvalidInput, NumericalFailure
-from ambrose.law.timing import Timing
+from ambrose.law.loop import Timing
 from ambrose.machine.file.toml import load_machine
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import reduce
 from ambrose.synthesis.design import design
 from ambrose.synthesis.fixed_order.polish import polish_synthesis
-from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.methods.pid import Pid
-from ambrose.synthesis.methods.tuned import Tuned
-from ambrose.synthesis.mu.synthesis import mu_synthesis
+from ambrose.synthesis.hinf import hinf_synthesis
+from ambrose.synthesis.methods import Pid, Tuned
+from ambrose.synthesis.mu import mu_synthesis
 from ambrose.synthesis.pid import pid_synthesis
 from coarse import coarse
 

@@ -9,9 +9,9 @@ from click.testing import CliRunner
 import ambrose as amb
 from ambrose.chain.new_machine import new_machine
 from ambrose.cli import main
-from ambrose.law.weights import machine_weights
+from ambrose.law.design_problem import machine_weights
 from ambrose.machine.file.update import save_machine
-from ambrose.synthesis.design_modes import modes_that_matter
+from ambrose.synthesis.order_selection import modes_that_matter
 
 
 @pytest.fixture(scope="module")

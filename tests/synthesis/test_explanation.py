@@ -11,12 +11,11 @@ from click.testing import CliRunner
 import ambrose as amb
 from ambrose.cli import main
 from ambrose.core.checks import NumericalFailure
-from ambrose.judge.static_stiffness import stiffness_margin
+from ambrose.judge.nominal import stiffness_margin
+from ambrose.law.loop import Timing
 from ambrose.law.pid import common_sections, pid_controller
-from ambrose.law.timing import Timing
-from ambrose.machine.controller import Channel, PidSettings
-from ambrose.machine.rotor_model import ShaftSection
-from ambrose.synthesis.explanation import explained, why_none, why_unstable
+from ambrose.machine.part import Channel, PidSettings, ShaftSection
+from ambrose.synthesis.design import explained, why_none, why_unstable
 from ambrose.synthesis.pid import pid_synthesis
 from coarse import coarse
 

@@ -18,7 +18,7 @@ import ambrose as amb
 from ambrose.code.pipeline import export
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
-from ambrose.law.timing import timing_of
+from ambrose.law.loop import timing_of
 
 RATE = 1e4
 OMEGA = np.geomspace(1.0, 2e4, 25)

@@ -12,9 +12,9 @@ from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import select
 from ambrose.judge.sampled import check_over_box
 from ambrose.law.design_problem import apply_delay, open_model
-from ambrose.law.timing import Timing
+from ambrose.law.loop import Timing
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import reduce
 from ambrose.synthesis.design import design
 
 pytestmark = pytest.mark.study  # minutes

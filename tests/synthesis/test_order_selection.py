@@ -7,12 +7,11 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, UnstableSystem
-from ambrose.law.design_problem import apply_delay, design_plant, open_model
-from ambrose.law.timing import Timing
-from ambrose.law.weights import machine_weights
+from ambrose.law.design_problem import apply_delay, design_plant, machine_weights, open_model
+from ambrose.law.loop import Timing
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import reduce
-from ambrose.synthesis.hinf.synthesis import hinf_synthesis
+from ambrose.model.uncertainty import reduce
+from ambrose.synthesis.hinf import hinf_synthesis
 from ambrose.synthesis.order_selection import find_lowest_order, sampled_sensitivity
 
 pytestmark = pytest.mark.study  # minutes

@@ -13,17 +13,24 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, feedback, select, series, spectral_abscissa
-from ambrose.law.filters import chain, lead_lag, low_pass, notch, section_matrix
 from ambrose.law.loop import closed_loop
-from ambrose.law.pid import common_sections, modes, pid_controller, theta_system
-from ambrose.machine.controller import Channel, Notch, PidSettings
+from ambrose.law.pid import (
+    chain,
+    common_sections,
+    lead_lag,
+    low_pass,
+    modes,
+    notch,
+    pid_controller,
+    section_matrix,
+    theta_system,
+)
 from ambrose.machine.description import Amplifier, MagneticBearing
 from ambrose.machine.machine import Machine
-from ambrose.machine.rotor_model import ShaftSection
-from ambrose.machine.stator import Sensor
+from ambrose.machine.part import Channel, Notch, PidSettings, Sensor, ShaftSection
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
-from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import reduce
 from ambrose.synthesis.pid import pid_synthesis
 from eigenvalue_margins import loop_margins, opened
 

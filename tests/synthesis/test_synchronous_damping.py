@@ -11,14 +11,17 @@ from click.testing import CliRunner
 import ambrose as amb
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
-from ambrose.judge.synchronous import block_loops, check_block
-from ambrose.judge.synchronous_bands import converged_at, unbalance_of, worst_orbits
+from ambrose.judge.synchronous import (
+    block_loops,
+    check_block,
+    converged_at,
+    unbalance_of,
+    worst_orbits,
+)
 from ambrose.law.pid import pid_controller
-from ambrose.law.synchronous import Condition, synchronous_loop
-from ambrose.law.synchronous_table import running_law
+from ambrose.law.synchronous import Condition, running_law, synchronous_loop
 from ambrose.machine.file.toml import load_machine
-from ambrose.rig.disturbances import Unbalance
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Scenario, Unbalance
 from ambrose.rig.synchronous import synchronous_program
 from ambrose.rig.virtual_rig import run
 from ambrose.synthesis.synchronous_design import design_synchronous

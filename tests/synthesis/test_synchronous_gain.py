@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ambrose.law.synchronous_table import BlockTable
+from ambrose.law.synchronous import BlockTable
 from ambrose.synthesis import synchronous_gain
 
 BAND, GAIN = (100.0, 400.0), 12.0

@@ -15,13 +15,12 @@ from ambrose import load_machine
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.core.lft import FullBlock, GeneralizedPlant
+from ambrose.core.processes import REMEDY, TimeLimit
 from ambrose.core.statespace import StateSpace
-from ambrose.core.time_limit import REMEDY, TimeLimit
 from ambrose.model.assemble import assemble
-from ambrose.synthesis import design
+from ambrose.synthesis import design, mu
 from ambrose.synthesis.fixed_order import polish
-from ambrose.synthesis.mu import synthesis as mu
-from ambrose.synthesis.mu.synthesis import mu_synthesis
+from ambrose.synthesis.mu import mu_synthesis
 from ambrose.synthesis.pid import pid_synthesis
 
 

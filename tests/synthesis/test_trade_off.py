@@ -13,7 +13,7 @@ import ambrose as amb
 from ambrose.cli import main
 from ambrose.judge.result import Certificate, Status
 from ambrose.synthesis import trade_off as module
-from ambrose.synthesis.methods.tuned import Tuned
+from ambrose.synthesis.methods import Tuned
 from ambrose.synthesis.trade_off import TradeOff, read_value, trade_off
 from coarse import coarse
 

@@ -19,9 +19,8 @@ from ambrose.core.statespace import StateSpace
 from ambrose.identification.findings import Code
 from ambrose.machine.file.toml import dumps_machine, load_machine
 from ambrose.machine.file.update import save_machine
-from ambrose.model.axial.magnet import at_point, core_lags, loaded, sides
-from ambrose.rig.disturbances import Failure, Pulse
-from ambrose.rig.scenario import Scenario, load_scenario
+from ambrose.model.axial import at_point, core_lags, loaded, sides
+from ambrose.rig.scenario import Failure, Pulse, Scenario, load_scenario
 
 sys.path.insert(0, str(Path(__file__).parent))
 from rotor import machine

@@ -23,20 +23,11 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import select
 from ambrose.judge import nominal, robust, sampled
 from ambrose.judge.verdict import verify_points
-from ambrose.law.loop import closed_loop
+from ambrose.law.loop import Timing, closed_loop
 from ambrose.law.pid import pid_controller
-from ambrose.law.timing import Timing
-from ambrose.machine.controller import PidSettings
+from ambrose.machine.part import PidSettings
 from ambrose.model.assemble import assemble
-from ambrose.model.axial.half_order import CORNER
-from ambrose.model.axial.magnet import (
-    at_point,
-    capacity,
-    core_lags,
-    force,
-    sides,
-    tilt_stiffness,
-)
+from ambrose.model.axial import CORNER, at_point, capacity, core_lags, force, sides, tilt_stiffness
 from ambrose.model.uncertainty import perturbed
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -439,8 +430,8 @@ def test_henries_for_millihenries_of_the_thrust_bearing_are_doubted():
 
 def test_coefficients_are_said_with_their_point():
     """At the design point under its thrust, not "at rest"."""
-    from ambrose.chain.facts_in_words import rows_of
-    from ambrose.chain.plants import facts
+    from ambrose.chain.check import rows_of
+    from ambrose.chain.stages import facts
 
     axial = machine({'label = "rest"': 'label = "idle"'}).axial
     for label, load in (("idle", 0.0), ("rated", 120.0)):

@@ -9,29 +9,42 @@ nodes, speeds, and what delay makes unavoidable.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
 
-from ambrose.chain.check_entries import block_doubts, corner_doubts, entry_doubts, load_doubts
 from ambrose.core.checks import AmbroseError, InvalidInput
-from ambrose.judge.rotor_modes import PLANAR, whirl_measure
-from ambrose.judge.stability import judge_stability
-from ambrose.judge.static_stiffness import below_stiffness, stiffness_margin
-from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity, unavoidable_words
+from ambrose.core.statespace import poles
+from ambrose.judge.campbell import PLANAR, whirl_measure
+from ambrose.judge.loop_response import beyond_reach, unavoidable_sensitivity, unavoidable_words
+from ambrose.judge.nominal import below_stiffness, stiffness_margin
+from ambrose.judge.plants import judge_stability
+from ambrose.law.loop import machine_timing
 from ambrose.law.pid import axes_mixings, channel_chains, first_settings, mixings, pid_controller
-from ambrose.law.timing import machine_timing
 from ambrose.machine.attachment import attached
 from ambrose.machine.criteria import demand
-from ambrose.machine.description import MagneticBearing
-from ambrose.machine.machine import Machine
-from ambrose.machine.seals import Seal
-from ambrose.model.assemble import assemble, attached_rotor
-from ambrose.model.basis import bending_modes_of, judged_bending, modes_judged
-from ambrose.model.effects.clearance import Clearance
+from ambrose.machine.description import MagneticBearing, OperatingPoint
+from ambrose.machine.machine import AxialMachine, Machine, in_file
+from ambrose.machine.part import Seal
+from ambrose.machine.thrust import ThrustBearing
+from ambrose.machine.validation.machine import least_radius
+from ambrose.machine.validation.ranges import implausible
+from ambrose.model.assemble import (
+    assemble,
+    attached_rotor,
+    bending_modes_of,
+    constant_coefficients,
+    judged_bending,
+    modes_judged,
+    named_point,
+    seal_coefficients,
+)
+from ambrose.model.axial import CORNER, at_point, core_lags, rotor_mass, sides, tilt_stiffness
+from ambrose.model.effect import Effect
 from ambrose.model.effects.rotor import (
     STANDARD_GRAVITY,
     MassProperties,
@@ -42,10 +55,512 @@ from ambrose.model.effects.rotor import (
     mesh_error,
     plane_rows,
 )
-from ambrose.model.plant import Plant, top_speed
-from ambrose.model.ports import measured_ports, sensor_turn
-from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.effects.seal import celsius_for_kelvin
+from ambrose.model.effects.stations import Clearance, Load, Stage
+from ambrose.model.plant import Plant, measured_ports, sensor_turn, top_speed
 from ambrose.model.static_load import magnet_coefficients, operating_magnets, static_sag
+from ambrose.model.uncertainty import free_mode_reduction
+from ambrose.report.theme import quantity
+
+# What `ambrose check` tells about a machine, as rows of words.
+
+
+def rows_of(facts: dict[str, Any]) -> list[tuple[str, str]]:
+    """The facts of a machine (``chain.stages.facts``) in words, as rows of quantity and value."""
+    if "axis" in facts:
+        return list(axial_rows(facts, quantity))
+    unstable = ", ".join(f"{re:.1f}{im + 0.0:+.1f}j" for re, im in facts["unstable_poles_rad_s"])
+    margin, least = facts["stiffness_margin"], facts["least_sensitivity"]
+    held = []
+    if facts["bearings"]:  # nothing of a rotor that no magnet holds
+        held = [
+            (
+                "static stiffness margin, K_p k_i / k_s",
+                "no reference controller" if margin is None else f"{margin:.3g}",
+            ),
+            (
+                "critical speeds, undamped, no cross-coupling",
+                ", ".join(quantity(w, "rad/s") for w in facts["critical_speeds_rad_s"]) or "none",
+            ),
+            (
+                "least sensitivity that the delay allows",
+                "none" if least is None else f"{least:.3g}",
+            ),
+        ]
+    return [
+        ("rotor mass", quantity(facts["mass_kg"], "kg")),
+        ("centre of mass", quantity(facts["centre_m"], "m")),
+        (
+            "inertia, diametral and polar",
+            f"{facts['diametral_inertia_kg_m2']:.4g} and {facts['polar_inertia_kg_m2']:.4g} kg m²",
+        ),
+        *(_bearing(item) for item in facts["bearings"]),
+        *held,
+        ("free-free bending", ", ".join(quantity(w, "rad/s") for w in facts["bending_rad_s"])),
+        ("error of the mesh in these and all judged", _mesh(facts["mesh_error"])),
+        ("unstable open-loop poles", f"{unstable} rad/s" if unstable else "none"),
+        (
+            "rotor states, full and reduced",
+            f"{facts['rotor_states']} and {facts['reduced_rotor_states']}",
+        ),
+        (
+            "plant states, full and reduced",
+            f"{facts['plant_states']} and {facts['reduced_plant_states']}",
+        ),
+        ("operating points", ", ".join(facts["operating_points"])),
+        ("uncertain parameters", ", ".join(facts["tolerances"]) or "none"),
+        ("assumed entries", f"{facts['assumed']}, listed with their reasons in the report"),
+    ]
+
+
+def _mesh(errors: list[float]) -> str:
+    worst = max(range(len(errors)), key=errors.__getitem__)
+    return f"at most {100 * errors[worst]:.2g} %, of mode {worst + 1}"
+
+
+def _bearing(item: dict[str, Any]) -> tuple[str, str]:
+    force = f"{item['max_force']:.4g} N per axis for {item['weight']:.4g} N of the weight"
+    if item["weight_of_axis"] is not None:
+        force += f", at most {item['weight_of_axis']:.4g} N on an axis"
+    if item["static_current"]:
+        force += f", which takes {item['static_current']:.3g} A"
+    return (
+        f"bearing {item['name']}",
+        f"k_i {item['k_i']:.4g} N/A, k_s {item['k_s'] / 1e6:.4g} N/um, {force}",
+    )
+
+
+# What the axis along the shaft can do at a glance, and what about it is implausible.
+
+
+# [m/s] of a steel collar's rim, assumed: a turning disc carries (3 + nu)/8 rho v^2 at its centre
+# and about twice that at a bore, here 0.8 and 1.6 GPa, the strength of quenched steel
+_RIM = 500.0
+# [T] at which usual electrical steel leaves the straight part of its B-H curve, assumed; a magnet
+# whose file gives no flux_density is computed with straight iron
+_FLUX = 1.5
+# static capacity over the process thrust, assumed: the rest is for what changes fast
+_SPARE = 1.5
+
+
+def axial_facts(machine: AxialMachine) -> dict[str, Any]:
+    """What `ambrose check file#axial` tells, SI units: mass, coefficients, core, unstable pole,
+    capacity against load, doubts.
+
+    Coefficients and poles are those of the design point, capacities and loads over all points.
+    """
+    part, plant = machine.thrust, assemble(machine, machine.operation.design)
+    design = at_point(machine, machine.operation.design)
+    mass, margin = rotor_mass(machine), stiffness_margin(machine)
+    least, pole, delay = unavoidable_sensitivity(plant)
+    lags = [model for model in core_lags(part) if model is not None]
+
+    # without eddy currents m s^2 = k_s - k_c (magnet less coupling), s = sqrt((k_s - k_c)/m)
+    spring = design.stiffness - part.coupling_stiffness
+    rows = [at_point(machine, point) for point in machine.operation.points]
+    limit = demand("sensitivity of an axis", machine.requirements).limit
+    reach = "" if limit is None else beyond_reach(least, pole, delay, limit)
+    return {
+        "machine": machine.name,
+        "description": machine.description,
+        "axis": machine.axes[0],
+        "mass_kg": mass,
+        "at": {"point": machine.operation.design.label, "load_N": design.load},
+        "k_i": design.force_per_current,
+        "k_s": design.stiffness,
+        # -3 dB of 1/(1 + tau sqrt(j w)) lies at tau sqrt(w) = CORNER (model/axial.py)
+        "core_corner_rad_s": [
+            (CORNER / side.tau) ** 2 if side.core else None for side in sides(part)
+        ],
+        "core_states": sum(len(model.poles) for model in lags),
+        "core_error_db": max((model.gain_error for model in lags), default=0.0),
+        "core_error_deg": max((model.phase_error for model in lags), default=0.0),
+        "unstable_poles_rad_s": [
+            [float(p.real), float(p.imag)] for p in poles(plant.rotor) if p.real > 0
+        ],
+        "laminated_pole_rad_s": math.sqrt(max(spring, 0.0) / mass),
+        "capacity_N": [min(row.capacity[k] for row in rows) for k in (0, 1)],
+        "load_N": [min(row.load for row in rows), max(row.load for row in rows)],
+        "place_m": [min(row.place for row in rows), max(row.place for row in rows)],
+        "static_current_A": max(abs(row.current) for row in rows),
+        "tilt_stiffness_N_m_rad": -tilt_stiffness(part),
+        "stiffness_margin": margin,
+        "least_sensitivity": least,
+        "plant_states": plant.system.n_states,
+        "operating_points": [point.label for point in machine.operation.points],
+        "tolerances": [item.parameter for item in machine.tolerances],
+        "assumed": len(machine.assumed),
+        "doubts": [
+            *(line for line in implausible(machine) if line.startswith("[[thrust_bearing]]")),
+            *_doubts(machine, margin),
+            *([reach] if reach else []),
+        ],
+        "remarks": [],
+    }
+
+
+def along_doubts(machine: Machine) -> list[str]:
+    """What is implausible along the shaft of a machine with a thrust bearing, for those who check
+    the radial axes; nothing without one.
+    """
+    if not any(isinstance(part, ThrustBearing) for part in machine.effects):
+        return []
+    try:
+        axial: Any = machine.axial
+        lines = [*_doubts(axial, stiffness_margin(axial))]
+    except InvalidInput as error:
+        lines = [str(error)]
+    return [f"along the shaft: {line}" for line in lines]
+
+
+def _doubts(machine: AxialMachine, margin: float | None) -> Iterator[str]:
+    """Gaps, flux, rim speed, capacity and static stiffness (``margin``, K_p k_i/k_s; None without a
+    reference controller) that a machine along its shaft hardly has, a sentence each.
+    """
+    part = machine.thrust
+    for name, side in zip(("left", "right"), sides(part), strict=True):
+        # B = Phi/A at the smaller of the two poles, at the largest current of the coil
+        largest_current = side.bias + (part.max_current or 0.0)
+        flux = side.flux(largest_current, side.gap)
+        density = flux / min(side.inner_area, side.outer_area)
+        if math.isinf(side.flux_limit) and density > _FLUX:
+            yield (
+                f"the {name} magnet would reach {density:.3g} T at {largest_current:g} A, "
+                "more than iron carries; add flux_density, or lower turns or currents"
+            )
+    rim = top_speed(machine) * part.collar_radius
+    if rim > _RIM:
+        yield (
+            f"the collar's rim runs at {rim:.4g} m/s, where {_RIM:g} m/s are the end for steel; "
+            "check collar_radius and speed"
+        )
+    for point in machine.operation.points:
+        row = at_point(machine, point)
+        largest = row.capacity[row.load < 0]
+        if row.load and largest < _SPARE * abs(row.load):
+            yield (
+                f"{point.label}: {abs(row.load):,.4g} N of thrust leave little of {largest:,.4g} "
+                f"N; {_SPARE:g} times the load and more is usual"
+            )
+    if margin is not None and margin < 1:
+        yield in_file(machine, below_stiffness(margin))
+
+
+def axial_rows(facts: dict[str, Any], quantity: Any) -> list[tuple[str, str]]:
+    """Rows (what, value) of the table that `ambrose check` prints, from ``axial_facts``.
+
+    quantity(value, unit): writes a number in the unit that people read, for example rad/s as Hz.
+    """
+    corners = [w for w in facts["core_corner_rad_s"] if w is not None]
+    core = "laminated"
+    if corners:
+        core = f"-3 dB at {', '.join(dict.fromkeys(quantity(w, 'rad/s') for w in corners))}"
+        core += f"; {facts['core_states']} states, {facts['core_error_db']:.2g} dB and "
+        core += f"{facts['core_error_deg']:.2g} deg off"
+    unstable = ", ".join(f"{re:.1f}" for re, _ in facts["unstable_poles_rad_s"]) or "none"
+    left, right = facts["capacity_N"]
+    low, high = facts["load_N"]
+    margin, least = facts["stiffness_margin"], facts["least_sensitivity"]
+    point, thrust = facts["at"]["point"], facts["at"]["load_N"]
+    where = f"at {point or 'the design point'} under {thrust:.4g} N"
+    return [
+        ("rotor mass", quantity(facts["mass_kg"], "kg")),
+        ("magnets", f"k_i {facts['k_i']:.4g} N/A, k_s {facts['k_s'] / 1e6:.4g} N/um, {where}"),
+        ("core", core),
+        (
+            "unstable pole",
+            f"{unstable} rad/s, laminated {facts['laminated_pole_rad_s']:.1f} rad/s",
+        ),
+        ("static capacity", f"{left:.4g} N to the left, {right:.4g} N to the right"),
+        (
+            "process thrust",
+            f"{low:.4g} to {high:.4g} N, which takes {facts['static_current_A']:.3g} A",
+        ),
+        (
+            "collar off centre by thermal growth",
+            f"{1e6 * facts['place_m'][0]:.3g} to {1e6 * facts['place_m'][1]:.3g} um",
+        ),
+        (
+            "stiffness of the collar's tilting, in the radial plant",
+            f"{facts['tilt_stiffness_N_m_rad']:.4g} N m/rad",
+        ),
+        (
+            "static stiffness margin, K_p k_i / k_s",
+            "no reference controller" if margin is None else f"{margin:.3g}",
+        ),
+        ("least sensitivity that the delay allows", f"{least:.3g}"),
+        ("plant states", f"{facts['plant_states']}"),
+        ("operating points", ", ".join(facts["operating_points"])),
+        ("uncertain parameters", ", ".join(facts["tolerances"]) or "none"),
+    ]
+
+
+# Entries of a machine file that hardly any machine has: most often a number without its unit, or
+# with another program's sign. Each a sentence with cause and remedy, for `ambrose check`.
+#
+# All limits below are assumed; each lies well outside of what is built, and well inside of what the
+# mistake that it looks for makes of usual values.
+
+
+_HERTZ = 2 * math.pi  # rad/s per Hz
+_RPM = 30 / math.pi  # rpm per rad/s
+# [Pa] across a seal: fans have 1 kPa and more; bar written as pascals are below up to 1000 bar
+_PRESSURE = 1e3
+# times the reference pressure to which coefficients are drawn in proportion
+_BEYOND = 5.0
+# [W] that an impeller of _IMPELLER [m] takes at least, others by the square of the diameter: a
+# blower of that size in air takes kilowatts, and kilowatts written as watts are a thousandth
+_POWER, _IMPELLER = 1e3, 0.1
+# of its diameter, that a stage is wide at least: impellers for the smallest flow have 0.01, usual
+# ones and blades 0.02 to 0.2; centimetres written as millimetres are a tenth
+_NARROW = 0.006
+# between the largest and the least singular value of T: axes and bearings differ by ten
+_UNEVEN, _NOTHING = 1e4, 1e-12
+# between a stage's rated speed and the machine's: about the root of 9.55 rpm per rad/s, half way to
+# a mistaken unit
+_SPEEDS = 3.0
+# times what all bearings reach together: shocks may pass their static capacity, not by this
+_LOAD = 10.0
+# [rad/s] and times the slowest rigid mode, below both of which a stated corner is doubted:
+# amplifiers and sensors are sold from 0.5 kHz on, and ten times keeps a first-order lag at the mode
+# below 6 degrees. Kilohertz read as rad/s are a sixth.
+_CORNER, _ABOVE = 500 * _HERTZ, 10.0
+
+
+def entry_doubts(machine: Machine) -> Iterator[str]:
+    """What is implausible in any number by itself, then of several together."""
+    yield from implausible(machine)
+    yield from _mass_diameter(machine)
+    yield from _sensors(machine)
+    yield from _uneven_blocks(machine)
+    yield from _pressures(machine)
+    for seal in machine.seals:
+        if seal.geometry is not None and (cold := celsius_for_kelvin(seal.geometry)):
+            yield f"[[seal]] {seal.name}, [seal.geometry]: {cold}"
+        yield from _drives_backward(machine, seal)
+    for _, part in attached(machine):
+        if isinstance(part, Stage):
+            yield from _stage(machine, part)
+
+
+def without_coefficients(machine: Machine) -> Iterator[str]:
+    """Every seal and effect that has no coefficients at an operating point, with the reason."""
+    for point in machine.operation.envelope:
+        for seal in machine.seals:
+            yield from _refusal(point, partial(constant_coefficients, machine, seal, point))
+        for effect, part in attached(machine):
+            if isinstance(effect, Effect):
+                yield from _refusal(point, partial(effect.reaction, part, point))
+
+
+def _refusal(point: OperatingPoint, read: Callable[[], object]) -> Iterator[str]:
+    try:
+        with named_point(point):
+            read()
+    except AmbroseError as error:
+        yield str(error)
+
+
+def load_doubts(machine: Machine, capacity: float) -> Iterator[str]:
+    """Loads [N] far beyond what all bearings reach together, ``capacity`` [N]."""
+    for _, part in attached(machine):
+        if isinstance(part, Load) and part.force > _LOAD * capacity > 0:
+            yield (
+                f"load {part.name}, {part.force:,.6g} N, is {part.force / capacity:,.3g} times "
+                f"what all bearings reach together, {capacity:,.4g} N; check its unit"
+            )
+
+
+def corner_doubts(machine: Machine, slowest: float) -> Iterator[str]:
+    """Corners of amplifier and sensors too low for the slowest mode [rad/s] of the held rotor, in
+    which it moves as a rigid body. Those of ``natural_frequency`` come from an identification
+    and are left alone.
+    """
+    corners = {"the amplifier": machine.amplifier.bandwidth}
+    corners |= {f"the sensor of bearing {item.bearing}": item.bandwidth for item in machine.sensors}
+    for name, corner in corners.items():
+        if corner is not None and corner < min(_CORNER, _ABOVE * slowest):
+            yield (
+                f"bandwidth of {name} means {corner / _HERTZ:.4g} Hz, less than {_ABOVE:g} times "
+                f"the {slowest / _HERTZ:.3g} Hz at which the rotor moves as a rigid body; a bare "
+                f'number is in rad/s: write "{corner:g} Hz" if that is meant'
+            )
+
+
+def block_doubts(machine: Machine) -> Iterator[str]:
+    """Synchronous blocks that drive away what they are to bring to zero, under the reference
+    controller at both ends and the middle of their bands: a T with the wrong sign or angle.
+    """
+    settings = machine.reference
+    if settings is None or not settings.synchronous:
+        return
+    from ambrose.core.synchronous import convergence
+    from ambrose.judge.synchronous import block_loops
+
+    law = pid_controller(settings, machine)
+    for i, item in enumerate(block_loops(machine, law, settings.synchronous), 1):
+        speeds = item.speeds(3).tolist()
+        try:
+            seen = [item.loop.signals(item.mode, w, item.conditions[0]) for w in speeds]
+            # da/dt = -eps T R a converges where every eigenvalue of T R has a positive real part
+            real = [
+                float(convergence(item.running.at(w), response))
+                for w, response in zip(speeds, seen, strict=True)
+            ]
+        except AmbroseError:  # no model at one of them, which verify says
+            continue
+        if max(real) < 0:
+            yield (
+                f"[[controller.synchronous]] {i}: {item.mode} with this T drives away what it is "
+                f"to bring to zero at all of {', '.join(f'{w * _RPM:,.5g}' for w in speeds)} rpm; "
+                "check the sign and the angle of T, 180 degrees are a wrong sign"
+            )
+
+
+def _uneven_blocks(machine: Machine) -> Iterator[str]:
+    """T of a synchronous block that is far larger in one direction than in another."""
+    settings = machine.reference
+    for i, block in enumerate(() if settings is None else settings.synchronous or (), 1):
+        if block.real is None or block.speeds is None:
+            continue
+        imaginary = 0.0 if block.imaginary is None else np.asarray(block.imaginary)
+        T = np.asarray(block.real) + 1j * imaginary
+        sizes = np.linalg.svd(T, compute_uv=False)  # a direction without a block has 0
+        most, least = sizes.max(axis=-1), sizes.min(axis=-1)
+        uneven = np.flatnonzero((most > _UNEVEN * least) & (least > _NOTHING * most)).tolist()
+        if uneven:
+            at = f"{block.speeds[uneven[0]] * _RPM:,.5g} rpm"
+            yield (
+                f"[[controller.synchronous]] {i}: T at {at} is more than {_UNEVEN:g} times larger "
+                "in one direction than in another; check the exponents of real and imaginary"
+            )
+
+
+def _mass_diameter(machine: Machine) -> Iterator[str]:
+    for number, section in enumerate(machine.shaft, 1):
+        mass, outer = (min(section.diameters(0.0)[k], section.diameters(1.0)[k]) for k in (2, 0))
+        if mass < outer * (1 - 1e-9):
+            label = f' "{section.label}"' if section.label else ""
+            yield (
+                f"mass_diameter of [[shaft]] {number}{label}, {1e3 * mass:,.4g} mm, is below its "
+                f"outer_diameter, {1e3 * outer:,.4g} mm: laminations add mass and take none away; "
+                "check its unit"
+            )
+
+
+def _sensors(machine: Machine) -> Iterator[str]:
+    """Sensors beside another bearing; of a bearing with several, where together they measure."""
+    places = {bearing.name: bearing.position for bearing in machine.bearings}
+    for name, own in places.items():
+        pairs = [pair for pair in machine.sensor_pairs if pair.bearing == name]
+        weight = sum(pair.weight for pair in pairs)
+        if not weight:
+            continue
+        at = sum(pair.weight * pair.position for pair in pairs) / weight
+        other = min(places, key=lambda item: abs(places[item] - at))
+        if abs(places[other] - at) < abs(own - at):
+            yield (
+                f"the sensor of bearing {name}, at {1e3 * at:,.4g} mm, is nearer to bearing "
+                f"{other}, at {1e3 * places[other]:,.4g} mm, than to its own, at {1e3 * own:,.4g} "
+                "mm: that loop measures the wrong end; correct its position or its bearing"
+            )
+
+
+def _pressure(value: float) -> str:
+    return f"{value / 1e5:,.4g} bar" if value >= _PRESSURE else f"{value:,.4g} Pa"
+
+
+def _pressures(machine: Machine) -> Iterator[str]:
+    """Pressures in the wrong unit, and beyond those at which coefficients hold."""
+    bare = 'a bare number is in pascals: write "{:g} bar" if that is meant'
+    for point in machine.operation.envelope:
+        if 0 < point.seal_pressure < _PRESSURE:
+            yield (
+                f'operating point "{point.label}" has {_pressure(point.seal_pressure)} across its '
+                f"seals; {bare.format(point.seal_pressure)}"
+            )
+    for seal in machine.seals:
+        reference = seal.reference_pressure
+        if reference is None:
+            continue
+        if reference < _PRESSURE:
+            yield (
+                f"reference_pressure of seal {seal.name} is {_pressure(reference)}; "
+                f"{bare.format(reference)}"
+            )
+            continue
+        point = max(machine.operation.envelope, key=lambda item: item.seal_pressure)
+        if point.seal_pressure > _BEYOND * reference:
+            yield (
+                f'operating point "{point.label}" has {_pressure(point.seal_pressure)} across seal '
+                f"{seal.name}, {point.seal_pressure / reference:.3g} times its reference_pressure, "
+                f"{_pressure(reference)}: its coefficients hardly hold so far away; correct one of "
+                "the two"
+            )
+
+
+def _drives_backward(machine: Machine, seal: Seal) -> Iterator[str]:
+    """A stated k that brakes forward whirl; a geometry's follows from its preswirl."""
+    key = f"seal.{seal.name}.k"
+    if seal.geometry is not None or key in dict(machine.assumed):
+        return
+    found = [(k, label) for k, label in _cross_stiffness(machine, seal) if k < 0]
+    if found:
+        k, label = found[0]
+        yield (
+            f'k of seal {seal.name} is {k / 1e6:,.4g} N/um at operating point "{label}", which '
+            "brakes forward whirl, as swirl against the rotation alone does; correct its sign "
+            f'(k > 0 drives forward whirl), or say in [machine.assumed] under "{key}" why it is so'
+        )
+
+
+def _cross_stiffness(machine: Machine, seal: Seal) -> Iterator[tuple[float, str]]:
+    for point in machine.operation.envelope:
+        if point.seal_pressure > 0:
+            try:
+                yield seal_coefficients(seal, point).k, point.label
+            except InvalidInput:  # outside its table, which is said elsewhere
+                continue
+
+
+def _stage(machine: Machine, stage: Stage) -> Iterator[str]:
+    shaft, section = least_radius(machine, stage.position)
+    if stage.diameter < 2 * shaft:
+        yield (
+            f"stage {stage.name} is {1e3 * stage.diameter:,.4g} mm in diameter, less than the "
+            f"shaft there, {2e3 * shaft:,.4g} mm ({section}); correct its diameter or position"
+        )
+    speeds: Sequence[float] = sorted(
+        speed
+        for speed in (
+            machine.operation.speed_range[1],
+            *(point.speed for point in machine.operation.envelope),
+        )
+        if speed > 0
+    )
+    if not speeds:
+        return
+    least = _POWER * min(1.0, (stage.diameter / _IMPELLER) ** 2)
+    if stage.power < least:
+        yield (
+            f"stage {stage.name} of {1e3 * stage.diameter:,.4g} mm in diameter takes "
+            f"{stage.power:,.4g} W, where {least:,.0f} W and more are usual; a bare number is "
+            f'in watts: write "{stage.power:g} kW" if that is meant'
+        )
+    if stage.width < _NARROW * stage.diameter:
+        yield (
+            f"stage {stage.name} is {1e3 * stage.width:,.3g} mm wide and "
+            f"{1e3 * stage.diameter:,.4g} mm in diameter, where a hundredth of that and more is "
+            "usual; check the unit of its width"
+        )
+    if not speeds[0] / _SPEEDS <= stage.speed <= _SPEEDS * speeds[-1]:
+        span = " to ".join(dict.fromkeys(f"{x * _RPM:,.6g}" for x in (speeds[0], speeds[-1])))
+        yield (
+            f"stage {stage.name} is rated at {stage.speed * _RPM:,.6g} rpm, where the machine "
+            f"turns at {span} rpm; a bare number is in rad/s: write "
+            f'"{stage.speed:g} rpm" if that is meant'
+        )
+
 
 HERTZ = 2 * math.pi  # rad/s per Hz
 # [kg], [m], [m] of rotors on magnetic bearings
@@ -211,7 +726,7 @@ def insight(plant: Plant) -> dict[str, Any]:
             "doubts": [
                 *_sizes(machine, properties),
                 *entry_doubts(machine),
-                *_mesh(bending, errors),
+                *_mesh_of_check(bending, errors),
             ],
             "remarks": ["no magnetic bearings: ambrose lateral analyses the rotor as it stands"],
         }
@@ -244,7 +759,7 @@ def insight(plant: Plant) -> dict[str, Any]:
         "doubts": [
             *_sizes(machine, properties),
             *entry_doubts(machine),
-            *_mesh(bending, errors),
+            *_mesh_of_check(bending, errors),
             *_forces(machine, bearings),
             *load_doubts(machine, sum(item.force for item in bearings)),
             *_stiffness(machine, margin),
@@ -263,7 +778,7 @@ def _judged_modes(machine: Machine, rotor: Rotor) -> int:
     return min(max(len(judged_bending(machine)), _SHOWN), bending_modes_of(rotor))
 
 
-def _mesh(bending: np.ndarray, errors: np.ndarray) -> Iterator[str]:
+def _mesh_of_check(bending: np.ndarray, errors: np.ndarray) -> Iterator[str]:
     """The mode that the mesh has furthest off."""
     worst = int(errors.argmax())
     if errors[worst] >= _COARSE:

@@ -16,29 +16,21 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ambrose.chain.beside import beside
-from ambrose.chain.commissioning import NAME, Commissioning, commission
-from ambrose.chain.control import resume_or_design
-from ambrose.chain.recorded_under import FIRST, Reference, reference
-from ambrose.chain.stages import FAILURES, Stage, walk
+from ambrose.chain.commissioning import FIRST, NAME, Commissioning, Reference, commission, reference
+from ambrose.chain.stages import FAILURES, Stage, beside, resume_or_design, walk
 from ambrose.core.checks import AmbroseError, InvalidInput
-from ambrose.core.memory import remembering
 from ambrose.core.presentation import Presented, data_frame, to_plain
-from ambrose.core.processes import can_start_processes, processors
+from ambrose.core.processes import can_start_processes, processors, remembering
 from ambrose.judge.checks import Curve, check_columns
 from ambrose.judge.plants import Progress, campbell_map, full_plants, plant_gain
-from ambrose.machine.atomic_write import make_folder, set_aside, write_json
-from ambrose.machine.axial import AxialMachine, in_file
-from ambrose.machine.claim import claimed
-from ambrose.machine.machine import Machine, require_magnets
+from ambrose.machine.machine import AxialMachine, Machine, in_file, require_magnets
+from ambrose.machine.ordinary_file import claimed, make_folder, set_aside, write_json
 from ambrose.model.plant import Plant
-from ambrose.model.reduce import reduce
-from ambrose.model.uncertainty import not_varied
+from ambrose.model.uncertainty import not_varied, reduce
 from ambrose.registry import registered, resolve
-from ambrose.rig.candidate import Candidate, check_trials, evaluate, points_of, run_ups
-from ambrose.rig.trial import RunUp
+from ambrose.rig.trial import Candidate, RunUp, check_trials, evaluate, points_of, run_ups
 from ambrose.synthesis.design import methods_for
-from ambrose.synthesis.methods.choice import methods
+from ambrose.synthesis.methods import methods
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -69,7 +61,7 @@ class Study(Presented):
     @property
     def best(self) -> Candidate:
         """The candidate that meets every requirement with most to spare, or comes nearest to it."""
-        from ambrose.report.comparison.envelope import nearest
+        from ambrose.report.comparison_tables import nearest
 
         return nearest(self.candidates)
 
@@ -423,10 +415,9 @@ def _loops_judged(candidates: tuple[Candidate, ...]) -> str:
 
 def write_report(result: Study, path: Path) -> None:
     """report.html: one self-contained page that compares the candidates."""
-    from ambrose.report.comparison.page import comparison_page
-    from ambrose.report.comparison.tables import grouped
+    from ambrose.report.comparison import commissioning_section, comparison_page, run_up_section
+    from ambrose.report.comparison_tables import grouped
     from ambrose.report.page import write
-    from ambrose.report.study import commissioning_section, run_up_section
 
     names, limit = (
         [candidate.name for candidate in result.candidates],

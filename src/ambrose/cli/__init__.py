@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 import click
 from click.exceptions import NoArgsIsHelpError
 
-from ambrose.machine.messages import BULLET
+from ambrose.machine.units import BULLET
 from ambrose.registry import registered, resolve
 from ambrose.terminal import say, say_json, streams_settled
 from ambrose.version import __version__
@@ -157,7 +157,7 @@ def _one_thread() -> AbstractContextManager[None]:
     if "numpy" not in sys.modules:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         return nullcontext()
-    from ambrose.core.threads import one_thread
+    from ambrose.core.processes import one_thread
 
     return one_thread()
 
@@ -175,27 +175,27 @@ def stop(message: str, status: int = 2, *, as_json: bool = False) -> NoReturn:
 # the places of commands by what they are for; annexes add theirs
 GROUPS: dict[str, dict[str, str]] = {
     "Design": {
-        "machines": "ambrose.cli.check:machines",
-        "scenarios": "ambrose.cli.check:scenarios",
-        "new": "ambrose.cli.new:new",
-        "check": "ambrose.cli.check:check",
-        "synthesize": "ambrose.cli.synthesize:synthesize",
-        "verify": "ambrose.cli.verify:verify",
-        "simulate": "ambrose.cli.simulate:simulate",
-        "export": "ambrose.cli.export:export",
-        "study": "ambrose.cli.study:study_command",
+        "machines": "ambrose.cli.machine_commands:machines",
+        "scenarios": "ambrose.cli.machine_commands:scenarios",
+        "new": "ambrose.cli.machine_commands:new",
+        "check": "ambrose.cli.machine_commands:check",
+        "synthesize": "ambrose.cli.controller_commands:synthesize",
+        "verify": "ambrose.cli.controller_commands:verify",
+        "simulate": "ambrose.cli.run_commands:simulate",
+        "export": "ambrose.cli.controller_commands:export",
+        "study": "ambrose.cli.run_commands:study_command",
     },
     "Site": {
-        "record check": "ambrose.cli.record_check:record_check",
-        "identify": "ambrose.cli.identify:identify",
-        "identify --generic": "ambrose.cli.identify_generic:identify_generic",
-        "convert": "ambrose.cli.convert:convert",
-        "convert controller": "ambrose.cli.convert_controller:convert_controller",
+        "record check": "ambrose.cli.record_commands:record_check",
+        "identify": "ambrose.cli.record_commands:identify",
+        "identify --generic": "ambrose.cli.record_commands:identify_generic",
+        "convert": "ambrose.cli.machine_commands:convert",
+        "convert controller": "ambrose.cli.machine_commands:convert_controller",
     },
     "Research": {
-        "trade-off": "ambrose.cli.trade_off:trade_off",
-        "map": "ambrose.cli.map:map_command",
-        "seal": "ambrose.cli.seal:seal",
+        "trade-off": "ambrose.cli.controller_commands:trade_off",
+        "map": "ambrose.cli.controller_commands:map_command",
+        "seal": "ambrose.cli.record_commands:seal",
     },
 }
 for title, commands in GROUPS.items():

@@ -16,12 +16,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from ambrose.code.block.fixed import ControlBlock
-from ambrose.code.block.names import as_comment
+from ambrose.code.block.block import ControlBlock, as_comment, render
+from ambrose.code.block.run import Vectors, as_csv, make_scheduled_vectors, make_vectors
 from ambrose.code.block.scheduled import ScheduledBlock
-from ambrose.code.block.vectors import Vectors, as_csv, make_scheduled_vectors, make_vectors
 from ambrose.code.c.code import block_facts
-from ambrose.code.rendering import render
 from ambrose.code.sampled import Deployment, ScheduledDeployment
 from ambrose.core.checks import invalid
 from ambrose.core.scheduled import ScheduledSystem
@@ -215,7 +213,7 @@ def _matrices(system: StateSpace) -> dict[str, np.ndarray]:
 
 def _block(block: ControlBlock) -> dict[str, Any]:
     """What the generated code computes with, in scaled states; the formulas are those of
-    block/fixed.py.
+    block/block.py.
     """
     return {
         "increment": block.increment,

@@ -5,7 +5,8 @@ written.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -15,46 +16,272 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.code.all_axes import AllAxes, all_axes_files
-from ambrose.code.beside import blocks_beside, diverging, judge_beside, missed_beside
-from ambrose.code.block.block import check_limits
+from ambrose.code.block.block import ControlBlock, build_block, check_limits
 from ambrose.code.block.cascade import build_cascade
-from ambrose.code.block.fixed import ControlBlock, build_block
-from ambrose.code.block.scheduled import ScheduledBlock, build_scheduled_block, check_told_limits
-from ambrose.code.block.supervised import supervise
+from ambrose.code.block.scheduled import (
+    ScheduledBlock,
+    build_scheduled_block,
+    check_told_limits,
+    supervise,
+)
 from ambrose.code.c.code import check_precision
-from ambrose.code.delivered import check_processor, try_target
-from ambrose.code.difference import Difference, parameter_difference
-from ambrose.code.five_axes import AxialPart, axial_target
-from ambrose.code.fmu.archive import check_compiler
-from ambrose.code.processor.trial import Trial
-from ambrose.code.provenance import provenance_lines
+from ambrose.code.fmu import check_compiler
+from ambrose.code.processor_build import PROCESSORS, Law, unit_of
+from ambrose.code.processor_trial import Trial, check_room, check_trial, try_unit
 from ambrose.code.sampled import (
     Deployment,
+    Difference,
     Progress,
     ScheduledDeployment,
     deploy,
     deploy_scheduled,
+    parameter_difference,
+    sensitivity_peak,
     unmet_limits,
 )
-from ambrose.code.synchronous import RunUnit
+from ambrose.code.synchronous import Base, RunUnit, in_order
 from ambrose.code.targets import TARGETS, C, Files, Fmu, St, Target
 from ambrose.core.checks import InvalidInput, UnstableSystem, invalid, same_clock
-from ambrose.core.presentation import Presented
+from ambrose.core.presentation import Presented, with_unit
 from ambrose.core.statespace import StateSpace, rename
-from ambrose.judge.checks import Checks
+from ambrose.judge.checks import Check, Checks
 from ambrose.judge.result import Synthesis, synthesis_of
-from ambrose.law.law import LawLike, law_of
-from ambrose.law.loop import check_side, match_axes
-from ambrose.law.scheduling import BOTH
+from ambrose.judge.synchronous import block_loops, check_block
+from ambrose.law.law import BOTH, LawLike, law_of
+from ambrose.law.loop import DEFAULT, Timing, check_side, match_axes, timing_of
 from ambrose.law.supervision import check_pair, supervision_limits
-from ambrose.law.timing import DEFAULT, timing_of
-from ambrose.machine.atomic_write import check_place, write_files
-from ambrose.machine.axial import AxialMachine
-from ambrose.machine.claim import claimed
+from ambrose.law.synchronous import check_blocks, running_law, synchronous_loop
 from ambrose.machine.file.toml import bundled_machines, load_machine, machine_hash
-from ambrose.machine.machine import Machine
+from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.ordinary_file import check_place, claimed, write_files
+from ambrose.machine.part import Synchronous
 from ambrose.model.assemble import assemble
 from ambrose.options import choose
+from ambrose.version import __version__
+
+# The lines of a generated file's header: where the controller comes from and what it was verified
+# on.
+
+
+def provenance_lines(
+    synthesis: Synthesis, deployment: Deployment | ScheduledDeployment
+) -> Sequence[str]:
+    """Origin, sampling, verification, and what speaks against the controller, one line each."""
+    made = synthesis.provenance
+    written = f"written {made.date}" if made.date else "made"
+    lines = [
+        f"Controller {synthesis.method}, {written} by ambrose {made.package_version}; code by "
+        f"ambrose {__version__}.",
+        f"Machine    {made.machine or 'not recorded'}, hash {made.machine_hash or 'not recorded'}.",
+    ]
+    if isinstance(deployment, ScheduledDeployment):
+        lines += _over_range(deployment)
+    else:
+        lines.append(
+            f"Sampled    by {deployment.method}, {deployment.delay} samples of computing delay in "
+            "the loop."
+        )
+        lines += [f"Verified   {c.label}: {_verdict(c)}." for c in deployment.checks]
+    if not deployment.checks:
+        lines.append("Verified   NOT: the sampled loop was not examined.")
+    for box in deployment.box:
+        count, label = box["sampled.stability.box"], box.label.removesuffix(", sampled")
+        lines.append(f"Verified   {label}: {count.value:.0f} unstable of {count.detail}.")
+    if isinstance(deployment, ScheduledDeployment):
+        lines += [
+            f"Outside    the range, clamped, {c.label}: {_verdict(c)}." for c in deployment.outside
+        ]
+    lines += [f"Forced     although {problem}." for problem in deployment.problems]
+    return lines + [f"Unmet      {text}." for text in unmet_limits(deployment)]
+
+
+def _over_range(deployment: ScheduledDeployment) -> list[str]:
+    (low, high), along = deployment.sampled.range, deployment.along
+    lines = [
+        f"Sampled    by {deployment.method} at every grid point, computing delay in the loop "
+        f"[samples]: {deployment.delay}.",
+        f"Between    grid points within {deployment.deviation:.2g} of the gain of the sampled "
+        "continuous controller (worst at "
+        f"{along.number(deployment.deviation_at)}).",
+    ]
+    if deployment.checks:
+        stable = sum(c.stable for c in deployment.checks)
+        peak, where = sensitivity_peak(deployment.checks)
+        lowest = ", ".join(f"{value:.6g}" for value in (low if along.parts else (low,)))
+        lines.append(
+            f"Verified   stable at {stable} of {len(deployment.checks)} frozen {along.plural} "
+            f"from {lowest} to "
+            f"{along.number(high)}, sensitivity peak {peak:.3g} (at {where})."
+        )
+    return lines + [f"Verified   {c.label}: {_verdict(c)}." for c in deployment.points]
+
+
+def _verdict(checks: Checks) -> str:
+    if not checks.stable:
+        return "UNSTABLE"
+    with suppress(KeyError):
+        return f"stable, sensitivity peak {checks['sensitivity.output.max'].value:.3g}"
+    return "stable"
+
+
+# Synchronous blocks of an export: which there are, their verdict in the loop as it will run, and
+# the unit that runs them beside the controller.
+
+
+_DIVERGES = ("synchronous.margin", "synchronous.gain")
+_TOUCH = 0.95  # of the smallest touchdown gap: an error beyond it counts as contact
+
+
+def blocks_beside(
+    synthesis: Synthesis, machine: Machine | None, target: Target
+) -> tuple[Synchronous, ...]:
+    """The blocks of a controller, else of its machine. Raises InvalidInput where the target, or a
+    missing machine, leaves no way to write them.
+    """
+    settings = None if machine is None else machine.controller
+    blocks = synthesis.synchronous or (() if settings is None else settings.synchronous)
+    if blocks:
+        target.check_beside()
+        if machine is None:
+            raise InvalidInput(
+                "the synchronous blocks need the machine, which says what they read; name its file "
+                "(--machine my.toml)"
+            )
+        check_blocks(blocks, machine)
+    return tuple(blocks)
+
+
+def judge_beside(
+    blocks: Sequence[Synchronous],
+    machine: Machine,
+    law: LawLike,
+    block: Base,
+    progress: Callable[[str], None],
+    *,
+    force: bool,
+) -> tuple[RunUnit, tuple[Checks, ...]]:
+    """The unit of a controller block and its synchronous blocks, and their checks with the law that
+    runs. Raises UnstableSystem for blocks that diverge, unless forced.
+    """
+    rate, delay = 1 / block.sample_time, block.delay
+    judged = tuple(
+        check_block(item, progress) for item in block_loops(machine, law, blocks, rate, delay)
+    )
+    if not force and (found := diverging(judged)):
+        raise UnstableSystem(f"{'; '.join(found)}; give another T, or force the export")
+    running = running_law(blocks, synchronous_loop(machine, law, rate, delay))
+    gaps = [bearing.touchdown_gap for bearing in machine.bearings if bearing.touchdown_gap]
+    contact = np.full(len(block.inputs), _TOUCH * min(gaps, default=np.inf))
+    return RunUnit(block, in_order(running, machine.axes, block), contact), judged
+
+
+def diverging(judged: Sequence[Checks]) -> tuple[str, ...]:
+    """What of the checks speaks of a block that is not proved to converge, in words."""
+    return tuple(
+        f"{item.label}: {_said(check)}"
+        for item in judged
+        for check in item.failed
+        if check.name.startswith(_DIVERGES)
+    ) + tuple(f"{item.label}: {' '.join(item.notes)}" for item in judged if not item.stable)
+
+
+def missed_beside(judged: Sequence[Checks]) -> tuple[str, ...]:
+    """The other limits that the blocks miss, in words."""
+    return tuple(
+        f"{item.label}: {_said(check)}"
+        for item in judged
+        for check in item.failed
+        if not check.name.startswith(_DIVERGES)
+    )
+
+
+def _said(check: Check) -> str:
+    value, limit = with_unit(check.value, check.unit), check.limit or 0.0
+    detail = f", {check.detail}" if check.detail else ""
+    return f"{check.title} {value} (limit {check.relation} {limit:.4g}){detail}"
+
+
+# A delivery tried on its processor: what is refused before the verification, and the trial of what
+# was written.
+
+
+def check_processor(target: C, block: Callable[[], Law]) -> None:
+    """What can be refused of a trial before the loop is verified: options without a processor, a
+    compiler or emulator that is not there, and a controller whose code alone is too large. block:
+    makes it, unverified. Raises InvalidInput.
+    """
+    if target.try_on is None:
+        for name in ("clock", "flash", "ram"):
+            if getattr(target, name) is not None:
+                raise invalid(
+                    name, getattr(target, name), "left out", "it goes with try_on: name a processor"
+                )
+        return
+    processor, arithmetic = PROCESSORS[target.try_on], target.arithmetic
+    check_trial(processor, arithmetic)
+    if target.flash is not None or target.ram is not None:
+        check_room(unit_of(block(), arithmetic), processor, target.flash, target.ram)
+
+
+def try_target(target: C, law: Law, files: Files, progress: Callable[[str], None]) -> Trial:
+    """The files of a law, run on the target's processor. Raises InvalidInput."""
+    processor = PROCESSORS[target.try_on or ""]
+    texts = {name: text for name, text in files.items() if isinstance(text, str)}
+    unit = unit_of(law, target.arithmetic, texts)
+    check_room(unit, processor, target.flash, target.ram)
+    return try_unit(unit, processor, clock=target.clock, progress=progress)
+
+
+# How the axial controller is written beside the radial one, and what comes of it.
+
+
+_AXIAL = "_axial"  # what the axial part's name adds
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AxialPart:
+    """The axial controller beside a radial one: its verification as it runs, and its block."""
+
+    deployment: Deployment
+    block: ControlBlock
+
+
+def axial_target(target: Target, machine: Machine | None, timing: Timing | None) -> C | Fmu:
+    """How the axial part is written: as the radial one, under its own name.
+
+    timing: the axial controller's own, None where it states none. Raises InvalidInput for another
+    target than C and FMU, a machine without a thrust bearing, and what is tried part by part.
+    """
+    from ambrose.code.targets import C, Fmu
+
+    if not isinstance(target, C | Fmu):
+        raise invalid(
+            "an axial controller beside the radial one",
+            f"given for the target {target.to!r}",
+            "left out",
+            "write C or an FMU, or write each controller by itself",
+        )
+    if isinstance(target, C) and (target.try_on is not None or target.bare_metal):
+        raise InvalidInput(
+            "a unit of all axes is not tried on a processor as a whole; export each controller by "
+            "itself with --try-on or --bare-metal, then both together without"
+        )
+    if machine is None or not machine.has_axis:
+        raise InvalidInput(
+            "the machine has no thrust bearing; name its file with --machine, without #axial, or "
+            "leave the axial controller out"
+        )
+    rate = target.rate
+    if timing is not None and rate is not None and not same_clock(1 / rate, timing.sample_time):
+        raise invalid(
+            "the axial controller",
+            str(timing),
+            f"sampled at the radial one's {rate:g} Hz",
+            f"design it with --rate-hz {rate:g}: one processor runs both",
+        )
+    part = replace(target, name=f"{target.name}{_AXIAL}", error_limit=None, current_limit=None)
+    # its sections are its own file's
+    return replace(part, form="modal") if isinstance(part, C) else part
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

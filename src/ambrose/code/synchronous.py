@@ -23,8 +23,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.code.block.cascade_fixed import FixedCascade
-from ambrose.code.block.fixed import ControlBlock
+from ambrose.code.block.block import ControlBlock
+from ambrose.code.block.cascade import FixedCascade
 from ambrose.code.block.fixed_point import FixedBlock
 from ambrose.code.block.run import (
     LIMITED,
@@ -39,13 +39,72 @@ from ambrose.code.block.run import (
     usable_errors,
     usable_words,
 )
-from ambrose.code.block.scheduled import ScheduledBlock
-from ambrose.code.block.supervised import SupervisedBlock, supervised_twin
-from ambrose.code.block.synchronous_twin import SynchronousTwin, limited, shifted
-from ambrose.code.block.synchronous_words import SIGNAL, SynchronousWords, to_words
+from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock, supervised_twin
+from ambrose.code.block.synchronous_twin import (
+    SIGNAL,
+    SynchronousTwin,
+    SynchronousWords,
+    limited,
+    shifted,
+    to_words,
+)
 from ambrose.core.checks import invalid
 from ambrose.law.supervision import State
 from ambrose.law.synchronous_block import SynchronousBlock, SynchronousLaw
+
+# The run-up of the self-test of a controller with synchronous blocks: alike in C and in structured
+# text, so that both are tried on the same faults.
+
+
+EVERY = 61  # samples between two rows of the self-test
+SHARE = 0.1  # of the largest plausible error: the self-test's signals
+_TURNS = 11  # of the self-test
+_LEAST, _MOST = 2500, 20000  # samples of it
+_WINDOWS = {  # shares of the self-test in which something is wrong
+    "lost": (0.30, 0.50),
+    "contact": (0.55, 0.56),
+    "invalid": (0.60, 0.605),
+    "off": (0.65, 0.70),
+    "none": (0.75, 0.755),
+    "large": (0.85, 0.86),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class RunUp:
+    """A run-up from ``start`` [rad/s] at ``slope`` [rad/s^2] over ``count`` samples, of which
+    every ``EVERY``-th is a row; windows: first sample, and the one after the last, of each fault.
+    """
+
+    start: float
+    slope: float
+    rows: int
+    windows: dict[str, list[int]]
+
+    @property
+    def count(self) -> int:
+        return self.rows * EVERY
+
+    def within(self) -> dict[str, np.ndarray]:
+        """Per fault whether a sample (count,) is in its window."""
+        k = np.arange(self.count)
+        return {name: (k >= a) & (k < b) for name, (a, b) in self.windows.items()}
+
+
+def run_up_of(unit: RunUnit) -> RunUp:
+    """From near the lower end of the first block's band to about its middle."""
+    first, dt = unit.law.blocks[0], unit.base.sample_time
+    low, high = first.band
+    start = low + first.hysteresis + 0.05 * (high - low)
+
+    # whole rows
+    wanted = int(np.clip(_TURNS * 2 * np.pi / (start * dt), _LEAST, _MOST))
+    rows = -(-wanted // EVERY)
+    count = rows * EVERY
+    slope = min(0.25 * unit.law.fastest, 0.45 * (high - low) / (count * dt))
+    windows = {name: [round(a * count), round(b * count)] for name, (a, b) in _WINDOWS.items()}
+    return RunUp(start, slope, rows, windows)
+
 
 Base = ControlBlock | ScheduledBlock
 

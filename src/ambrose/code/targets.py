@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from ambrose.code.all_axes import AllAxes
-    from ambrose.code.block.fixed import ControlBlock
+    from ambrose.code.block.block import ControlBlock
     from ambrose.code.block.scheduled import ScheduledBlock
     from ambrose.code.c.code import Arithmetic, Precision
     from ambrose.code.sampled import Deployment, ScheduledDeployment
     from ambrose.code.synchronous import RunUnit
     from ambrose.core.sampling import Method
     from ambrose.judge.result import Synthesis
-    from ambrose.law.scheduling import Scheduling
+    from ambrose.law.law import Scheduling
 
     Block = ControlBlock | ScheduledBlock
 
@@ -39,7 +39,7 @@ WORDS = ("double", "float", "fixed32", "fixed16")
 
 
 def _identifier(value: Any, name: str) -> None:
-    from ambrose.code.block.names import check_identifier
+    from ambrose.code.block.block import check_identifier
 
     check_identifier(value, "the name of the block", "choose letters, digits and underscores")
 
@@ -50,7 +50,7 @@ class Target(Options, ABC):
 
     name: prefix of every name in the code, a C identifier. rate [Hz]: of the samples,
     delay_samples: from measured errors to currents set (None: as the controller or the machine file
-    says, ``law.timing.timing_of``; 10 kHz and one sample where nobody does); sampling, prewarp
+    says, ``law.loop.timing_of``; 10 kHz and one sample where nobody does); sampling, prewarp
     [rad/s]: as in ``core.sampling.c2d``. error_limit [m], current_limit [A]: one number or one per
     axis (None: the bearings' gaps, or twice their touchdown gaps, and largest currents).
     windup_time [s], hold_samples: as in ``build_block`` (None: its own). speed_limit [rad/s],
@@ -221,7 +221,7 @@ class C(Target):
 
     def files_beside(self, unit: RunUnit, lines: Sequence[str]) -> Files:
         """{name: content} of the block with its synchronous blocks."""
-        from ambrose.code.c.run import generate_run
+        from ambrose.code.c.synchronous import generate_run
 
         files = generate_run(unit, self.arithmetic, lines)
         return {**files, **self._example(unit)}
@@ -230,7 +230,7 @@ class C(Target):
         """The files of the example, where it is asked for."""
         if not self.bare_metal:
             return {}
-        from ambrose.code.bare_metal import bare_metal_files
+        from ambrose.code.processor_build import bare_metal_files
 
         return bare_metal_files(law, self.arithmetic)
 
@@ -273,7 +273,7 @@ class Fmu(Target):
         block: Block,
         lines: Sequence[str],
     ) -> Files:
-        from ambrose.code.fmu.archive import generate_fmus
+        from ambrose.code.fmu import generate_fmus
 
         return generate_fmus(block, self.arithmetic, lines, sources_only=self.sources_only)
 
@@ -282,13 +282,13 @@ class Fmu(Target):
 
     def files_beside(self, unit: RunUnit, lines: Sequence[str]) -> Files:
         """{name: content} of the block with its synchronous blocks."""
-        from ambrose.code.fmu.archive import generate_fmus
+        from ambrose.code.fmu import generate_fmus
 
         return generate_fmus(unit, self.arithmetic, lines, sources_only=self.sources_only)
 
     def files_of_all(self, law: AllAxes, lines: Sequence[str]) -> Files:
         """{name: content} of all axes as one unit."""
-        from ambrose.code.fmu.archive import generate_fmus
+        from ambrose.code.fmu import generate_fmus
 
         return generate_fmus(law, self.arithmetic, lines, sources_only=self.sources_only)
 
@@ -317,7 +317,7 @@ class St(Target):
 
     def files_beside(self, unit: RunUnit, lines: Sequence[str]) -> Files:
         """{name: content} of the block with its synchronous blocks."""
-        from ambrose.code.structured_text_run import generate_run_structured_text
+        from ambrose.code.structured_text import generate_run_structured_text
 
         return generate_run_structured_text(unit, self.arithmetic, lines)
 

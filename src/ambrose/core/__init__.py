@@ -1,1 +1,1 @@
-
+"""Mathematics without a rotor word: numpy, scipy and threadpoolctl only."""

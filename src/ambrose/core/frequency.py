@@ -9,17 +9,19 @@ instead: one product per frequency, an order of magnitude faster at hundreds of 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from sys import float_info
 from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike
 
-from ambrose.core.checks import InvalidInput, check_shape, invalid
+from ambrose.core.checks import InvalidInput, NumericalFailure, check_shape, invalid
 from ambrose.core.presentation import Presented, data_frame, to_plain
-from ambrose.core.statespace import Names, as_statespace, balance, index_of
+from ambrose.core.statespace import Names, as_statespace, index_of
+from ambrose.core.statespace import balance_matrix as balance
 
 _LEAF = 16  # rows solved one by one at the bottom of the recursion
 _NEAR = 100.0  # points within so many rounding errors of a pole are evaluated one by one
@@ -409,3 +411,176 @@ def _solve_pair(block: np.ndarray, X: np.ndarray, s: np.ndarray) -> None:
     first = (d[:, None] * X[0] + b * X[1]) * scale
     X[1] = (c * X[0] + d[:, None] * X[1]) * scale
     X[0] = first
+
+
+# How large a state can become under bounded inputs: the sum of the absolute impulse response (the
+# l1 norm), from above.
+
+
+_EXACT = 4096  # samples summed one by one; beyond, blocks of samples are bounded together
+_BATCH = 64  # powers of A that are stacked at once
+_DOUBLINGS = 60  # of the horizon, at most
+
+
+def peak_gains(increment: np.ndarray, B: np.ndarray, steps: float = np.inf) -> np.ndarray:
+    """Bounds (n, m) on |x_i| for |u_j| <= 1 and x[k+1] = x[k] + increment x[k] + B u[k] from rest;
+    infinite when unstable.
+
+    increment (n, n), B (n, m). steps: how many samples the input acts (infinite: for ever). A - I
+    is given, not A: a slow pole keeps its digits. Exact for one state; for several an upper bound,
+    exact over the first 4096 samples (Dahleh & Diaz-Bobillo 1995, ch. 2: the l1 norm is the peak
+    gain).
+    """
+    increment = check_shape(increment, "increment", "(n, n)")
+    B = check_shape(B, "B", "(n, m)", n=len(increment))
+    if len(increment) == 1:
+        return np.abs(B) * _single(float(increment[0, 0]), steps)
+    A = increment + np.eye(len(increment))
+    if steps == np.inf and np.abs(np.linalg.eigvals(A)).max(initial=0.0) >= 1:
+        return np.where(np.abs(B).sum(axis=0)[None] > 0, np.inf, np.zeros(B.shape))
+    return np.minimum(_summed(A, B, steps), _rotation(A, B, steps))
+
+
+def _single(increment: float, steps: float) -> float:
+    """sum over k < steps of |a|^k, a = 1 + increment."""
+    distance = -increment if increment >= -1 else 2 + increment  # 1 - |a|
+
+    # |a| >= 1: the sum (|a|^k - 1)/(|a| - 1) of the geometric series, k where |a| = 1
+    if distance <= 0:
+        if steps == np.inf:
+            return np.inf
+        return steps if distance == 0 else float(np.expm1(steps * np.log1p(-distance)) / -distance)
+
+    # (1 - |a|^k)/(1 - |a|), in expm1 and log1p: a slow pole keeps its digits
+    return (
+        1 / distance
+        if steps == np.inf
+        else float(-np.expm1(steps * np.log1p(-min(distance, 1.0))) / distance)
+    )
+
+
+def _summed(A: np.ndarray, B: np.ndarray, steps: float) -> np.ndarray:
+    """The first samples one by one; then S(2K) <= S(K) + |A^K| S(K)."""
+    total, response = np.zeros(B.shape), B
+    count = int(min(_EXACT, steps))
+
+    # A^0 .. A^batch: a batch of samples is one product with the response at its start.
+    powers = [np.eye(len(A))]
+    for _ in range(min(_BATCH, count)):
+        powers.append(A @ powers[-1])
+    for start in range(0, count, _BATCH):
+        total += np.abs(np.stack(powers[: min(_BATCH, count - start)]) @ response).sum(axis=0)
+        response = powers[-1] @ response
+
+        # each entry against its own sum: states and inputs may be in units of any size; what is
+        # below 1e-18 of it no longer changes a sum of doubles
+        if (np.abs(response) <= 1e-18 * total).all():
+            count = min(count, start + _BATCH)
+            break
+
+    # Entry by entry |A^(K + i) B| <= |A^K| |A^i B|: the next K samples add at most |A^K| S(K).
+    power = np.linalg.matrix_power(A, count)
+    done = float(count)
+    for _ in range(_DOUBLINGS):
+        further = np.abs(power) @ total
+        if done >= steps or (further <= 1e-12 * total).all():
+            break
+        total = total + further
+        power = power @ power
+        done *= 2
+    return total * (1 + 1e-9)  # an upper bound in spite of rounding and of what was cut off
+
+
+def _rotation(A: np.ndarray, B: np.ndarray, steps: float) -> np.ndarray:
+    """By r = ||A||_2: ||A^k b|| <= r^k ||b||, with equality where A is r times a rotation."""
+    r = np.linalg.norm(A, 2)
+    if r >= 1 and steps == np.inf:
+        return np.full(B.shape, np.inf)
+
+    # |x_i| <= sum_k ||A^k b|| <= ||b|| sum_k r^k, r the 2-norm of A:
+    # at most 1/(1 - r), or (r^steps - 1)/(r - 1)
+    length = steps if r >= 1 else 1 / (1 - r)
+    if r > 1:  # r^steps overflows beyond exp(709)
+        length = float(np.expm1(steps * np.log(r)) / (r - 1)) if steps * np.log(r) < 700 else np.inf
+    return np.broadcast_to(np.linalg.norm(B, axis=0) * length, B.shape).copy()
+
+
+# A root of one equation in one unknown between two ends of opposite sign.
+#
+# SciPy's optimisers have the same method; loading them takes longer than a short command may.
+
+
+def bracketed_root(
+    f: Callable[[float], float],
+    low: float,
+    high: float,
+    *,
+    absolute: float,
+    relative: float = 4 * float_info.epsilon,
+    evaluations: int = 200,
+) -> float:
+    """The place x between ``low`` and ``high`` where f changes its sign, to within ``absolute`` +
+    ``relative`` |x|.
+
+    Inverse quadratic interpolation where it converges, bisection else (Brent, Algorithms for
+    Minimization without Derivatives, 1973, chapter 4). Raises InvalidInput where f has one sign at
+    both ends, NumericalFailure after so many evaluations.
+    """
+    a, b = low, high
+    fa, fb = f(a), f(b)
+    if fa * fb > 0:
+        raise InvalidInput(
+            f"the function is {fa:.4g} at {low:.4g} and {fb:.4g} at {high:.4g}; give ends of "
+            "opposite sign"
+        )
+    # b is the best place, c the end across the root from it, a the best place before
+    c, fc = a, fa
+    step = before = b - a
+    for _ in range(evaluations):
+        if fb * fc > 0:
+            c, fc = a, fa
+            step = before = b - a
+        if abs(fc) < abs(fb):
+            a, b, c = b, c, b
+            fa, fb, fc = fb, fc, fb
+        within, half = (absolute + relative * abs(b)) / 2, (c - b) / 2
+        if abs(half) <= within or fb == 0:
+            return b
+        tried = _interpolated((a, fa), (b, fb), (c, fc))
+        # taken where it stays within the bracket, and is less than half of the step before the last
+        if (
+            abs(before) >= within
+            and abs(tried) < min(1.5 * abs(half), abs(before) / 2)
+            and (tried * half > 0)
+        ):
+            before, step = step, tried
+        else:
+            before = step = half
+        a, fa = b, fb
+        b += step if abs(step) > within else within * (1 if half > 0 else -1)
+        fb = f(b)
+    raise NumericalFailure(
+        f"no root to {absolute:.2g} within {evaluations} evaluations; is the function continuous "
+        f"between {low:.4g} and {high:.4g}?"
+    )
+
+
+def _interpolated(
+    last: tuple[float, float], best: tuple[float, float], across: tuple[float, float]
+) -> float:
+    """The step from the best place to the root of the parabola x(f) through three points, of the
+    line through two where the first is the third; 0 where there is none.
+    """
+    a, fa = last
+    b, fb = best
+    c, fc = across
+    if abs(fa) <= abs(fb):
+        return 0.0
+    s = fb / fa
+    if a == c:
+        # x = b + (c - b) f(b)/(f(b) - f(c))
+        return (c - b) * s / (s - 1) if s != 1 else 0.0
+    # Lagrange's x(0) with q = f(a)/f(c), r = f(b)/f(c), s = f(b)/f(a)
+    q, r = fa / fc, fb / fc
+    below = (q - 1) * (r - 1) * (s - 1)
+    return -s * ((c - b) * q * (q - r) - (b - a) * (r - 1)) / below if below else 0.0

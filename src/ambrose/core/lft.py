@@ -31,8 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.arguments import names_wrong_types
-from ambrose.core.checks import InvalidInput, check_finite, check_shape, invalid
+from ambrose.core.checks import InvalidInput, check_finite, check_shape, invalid, names_wrong_types
 from ambrose.core.presentation import Presented, to_plain
 from ambrose.core.statespace import (
     ControllerLike,

@@ -25,8 +25,7 @@ import scipy.linalg as sla
 from ambrose.core.checks import NumericalFailure, UnstableSystem, check_positive, named_failure
 from ambrose.core.frequency import SchurForm, evaluate, largest_gain, schur_form, state_response_at
 from ambrose.core.presentation import Presented
-from ambrose.core.realisation.balancing import balance_system
-from ambrose.core.statespace import StateSpace, as_statespace
+from ambrose.core.statespace import StateSpace, as_statespace, balance_system
 
 _MAX_STEPS = 60  # raises of the lower bound, at most; it converges quadratically
 _STENCIL = np.linspace(-1.0, 1.0, 17)  # points of one pass of the local search

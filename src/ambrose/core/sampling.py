@@ -17,9 +17,9 @@ from ambrose.core.checks import (
     invalid,
     named_failure,
 )
-from ambrose.core.realisation.balancing import balance
-from ambrose.core.realisation.zeros import invariant_zeros
+from ambrose.core.realisation import invariant_zeros
 from ambrose.core.statespace import StateSpace, as_statespace, series, transfer_function
+from ambrose.core.statespace import balance_matrix as balance
 
 Method = Literal["zoh", "tustin", "backward-euler", "matched"]
 _NO_PREWARP = ("zoh", "backward-euler")

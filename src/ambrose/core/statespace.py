@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Any, Protocol, TypeGuard
 
 import numpy as np
+import scipy.linalg as sla
 from numpy.typing import ArrayLike
 
-from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import (
     InvalidInput,
     NumericalFailure,
@@ -23,11 +23,49 @@ from ambrose.core.checks import (
     check_shape,
     invalid,
     named_failure,
+    names_wrong_types,
     same_clock,
 )
 from ambrose.core.presentation import Presented
-from ambrose.core.realisation.balancing import balance as balance  # noqa: PLC0414 (re-exported)
-from ambrose.core.realisation.balancing import balance_system
+
+# Diagonal scaling of state-space matrices: exact (powers of two), cheap, and worth several digits.
+
+
+def balance_matrix(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Diagonal similarity that evens out row and column norms: T^-1 A T with T = diag(t), and t
+    (n,). Exact (powers of 2).
+
+    A (n, n). Source: Parlett & Reinsch 1969 (LAPACK's gebal, without permutations).
+    """
+    if A.shape[0] == 0:
+        return A, np.ones(0)
+    gebal = sla.lapack.zgebal if np.iscomplexobj(A) else sla.lapack.dgebal
+    balanced, _, _, scale, _ = gebal(A, scale=1, permute=0)
+    return balanced, scale
+
+
+def balance_system(
+    A: np.ndarray, B: np.ndarray, C: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """State scaling x = diag(t) z that evens out A, B and C together: T^-1 A T, T^-1 B, C T and t
+    (n,).
+
+    A (n, n), B (n, m), C (p, n). Inputs and outputs keep their units; one more row and column, the
+    norms of B and C, stand for them while balancing.
+    """
+    n = A.shape[0]
+
+    # [|A| |B|; |C| 0] with B and C as one column and one row of norms.
+    joint = np.zeros((n + 1, n + 1))
+    joint[:n, :n] = np.abs(A)
+    joint[:n, n] = np.linalg.norm(B, axis=1)
+    joint[n, :n] = np.linalg.norm(C, axis=0)
+
+    # The last factor, that of the signals, is set to one.
+    t = balance_matrix(joint)[1]
+    t = t[:n] / t[n]
+    return A * t / t[:, None], B / t[:, None], C * t, t
+
 
 Names = str | Sequence[str]
 
@@ -502,7 +540,7 @@ def close(system: StateSpace, loop: np.ndarray) -> StateSpace:
     DL = system.D @ loop
     E = np.eye(len(DL)) - DL
     if E.size and np.abs(1 - np.linalg.eigvals(DL)).min() < 1e-14 * max(
-        1.0, float(np.abs(balance(DL)[0]).max())
+        1.0, float(np.abs(balance_matrix(DL)[0]).max())
     ):
         raise NumericalFailure(
             "the loop is algebraic (I - D L is singular); add a sample of delay or a roll-off pole"

@@ -1,1 +1,3 @@
-
+"""Records to values with intervals: ``pipeline`` is read first, then ``loop``; ``record_check``
+says what a record serves for.
+"""

@@ -4,12 +4,16 @@ with a code to act upon.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from ambrose.core.checks import InvalidInput, invalid
-from ambrose.machine.messages import BULLET
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ambrose.core.checks import InvalidInput, check_shape, invalid
+from ambrose.machine.units import BULLET
+from ambrose.record.record import Record
 
 ERROR, WARNING = "error", "warning"
 
@@ -41,7 +45,7 @@ class Code(StrEnum):
     OTHER_DELAY = "other-delay"  # another computing delay explains the record better
     CHANNEL_SKEW = "channel-skew"  # channels recorded at different times
     LOST_SAMPLES = "lost-samples"
-    # The fit (output_error/statistics.py, youla/identify.py)
+    # The fit (output_error/statistics.py, identification/youla.py)
     NOT_CONVERGED = "not-converged"
     HARDLY_VISIBLE = "hardly-visible"  # a parameter with a wide interval
     CORRELATED = "correlated"  # two parameters that are hardly told apart
@@ -56,14 +60,14 @@ class Code(StrEnum):
     # most of what the model leaves of a signal is one frequency, which is not excited
     TONE = "tone"
     BURST = "burst"  # a short time in which a signal leaves the model
-    OTHER_LOAD = "other-load"  # a mean current that carries another thrust (collar_place.py)
+    OTHER_LOAD = "other-load"  # a mean current that carries another thrust (places.py)
     # A seal over pressure (seal/by_pressure.py)
     SEAL_SCATTER = "seal-scatter"  # a point off the line through the others
-    # Static loads (static_load/identify.py)
+    # Static loads (identification/static_load.py)
     ONE_SIDED = "one-sided-load"
     NOT_HELD = "position-not-held"
     CURVED = "curved"  # force over current
-    # Stepped sines at a seal (seal/stepped_sine.py)
+    # Stepped sines at a seal (seal/by_frequency.py)
     AT_SPEED = "step-at-speed"  # unbalance answers too
     NOISY = "noisy-step"
     # One axis under any controller (one_axis/identify.py)
@@ -108,3 +112,67 @@ def refuse(findings: Iterable[Finding]) -> None:
     errors = [str(finding) for finding in findings if finding.severity == ERROR]
     if errors:
         raise InvalidInput(BULLET.join(errors))
+
+
+# Whether the excitation of a record is enough: its order, and the rows of its signals.
+
+
+def excitation_order(signals: ArrayLike, order: int = 100, threshold: float = 1e-8) -> int:
+    """The order to which signals (m, k) excite persistently, at most ``order``: as many parameters
+    per channel can be told.
+
+    The largest n for which n successive samples of all channels have a covariance of full rank:
+    smallest over largest eigenvalue above ``threshold``; Ljung (1999), definition 13.2. The best of
+    every, every second, every fourth ... sample counts: slow signals hardly differ between samples,
+    and leaving samples out adds no frequency. 0: not excited at all.
+    """
+    u = check_shape(signals, "signals", "(m, k)")
+    order = _count(order, "order")
+    step = 1
+    best = 0
+    if not u.any(axis=1).all():
+        return 0
+    while step == 1 or (best < order and u.shape[1] // step > 4 * order * len(u)):
+        best = max(best, _rank_order(u[:, ::step], order, threshold))
+        step *= 2
+    return best
+
+
+def signal_rows(record: Record, names: Sequence[str]) -> list[np.ndarray]:
+    """The signals (k,) as views; zeros that take no memory for excitations e_, f_ and r_ that the
+    record does not hold.
+    """
+    zeros = np.broadcast_to(0.0, (record.values.shape[1],))
+    return [
+        zeros if name[:2] in {"e_", "f_", "r_"} and name not in record.signals else record[name]
+        for name in names
+    ]
+
+
+def _rank_order(u: np.ndarray, order: int, threshold: float) -> int:
+    m, k = u.shape
+    n = min(order, (k + 1) // (m + 1))
+    if n < 1:
+        return 0
+    rows = (
+        np.lib.stride_tricks.sliding_window_view(u, k - n + 1, axis=1)
+        .transpose(1, 0, 2)
+        .reshape(n * m, k - n + 1)
+    )
+    R = rows @ rows.T
+
+    def full(count: int) -> bool:
+        values = np.linalg.eigvalsh(R[: count * m, : count * m])
+        return bool(values[0] > threshold * values[-1])
+
+    low, high = 0, n
+    while low < high:  # the leading blocks: once deficient, deficient for every larger count
+        middle = (low + high + 1) // 2
+        low, high = (middle, high) if full(middle) else (low, middle - 1)
+    return low
+
+
+def _count(value: int, name: str) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+        raise invalid(name, repr(value), "a whole number, at least 1", "give a number of samples")
+    return int(value)

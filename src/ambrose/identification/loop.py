@@ -9,6 +9,7 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from ambrose.core.checks import InvalidInput
+from ambrose.identification import youla
 from ambrose.identification.data_quality.controller import controller_match, seen_delay
 from ambrose.identification.data_quality.diagnosis import diagnose_records
 from ambrose.identification.findings import WARNING, Code, Finding, refuse
@@ -25,18 +26,18 @@ from ambrose.identification.output_error.problem import (
 )
 from ambrose.identification.parameters import COVERAGE, magnet_paths, plant_at, split_timing
 from ambrose.identification.result import LoopIdentification
-from ambrose.identification.validation.file_priors import fit_with_priors, prior_of
-from ambrose.identification.validation.file_priors import words as priors_in_words
+from ambrose.identification.validation.places import standing
 from ambrose.identification.validation.plausibility import (
     chain_lags,
     delay_findings,
     diagnose_fit,
     diagnose_result,
     diagnose_values,
+    fit_with_priors,
+    prior_of,
 )
-from ambrose.identification.validation.repeatability import of_estimates
-from ambrose.identification.validation.rotor_place import standing
-from ambrose.identification.validation.simulated_output import simulate_outputs
+from ambrose.identification.validation.plausibility import words as priors_in_words
+from ambrose.identification.validation.repeatability import of_estimates, simulate_outputs
 from ambrose.identification.validation.suspects import (
     Suspect,
     chosen_modes,
@@ -46,7 +47,6 @@ from ambrose.identification.validation.suspects import (
     rest_of,
     suspects,
 )
-from ambrose.identification.youla import identify as youla
 from ambrose.law.law import LawLike, law_of
 from ambrose.machine.description import AMPLIFIER_PARAMETERS
 from ambrose.machine.machine import Machine
@@ -79,7 +79,7 @@ def identify_loop(
     identified alone, too, and a standard deviation below what their scatter allows for is widened
     to it. others: records that are checked with these, as further numbers, and not fitted. along:
     where nothing but the residuals speaks against the result, the machine file's own numbers are
-    found along, if that explains them (validation/file_priors.py). more_modes: further bending
+    found along, if that explains them (validation/plausibility.py). more_modes: further bending
     modes than the options' are modelled where the records tell them. Raises
     InvalidInput with every error that was found, each with its evidence and remedy.
     """

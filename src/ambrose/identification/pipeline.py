@@ -4,8 +4,8 @@ commissioning.
     done = identify(machine, ["prbs.h5"], controller)
     done.machine, done.parameters, done.findings
 
-Check the records, fit (loop.py, seal/pipeline.py, static_load/identify.py), check the result, write
-it into the machine.
+Check the records, fit (loop.py, seal/pipeline.py, identification/static_load.py), check the result,
+write it into the machine.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, cast
 
-from ambrose.core.arguments import names_wrong_types
-from ambrose.core.checks import InvalidInput, check_finite, invalid
-from ambrose.identification.data_quality.settling import left_out, settled, taken
+from ambrose.core.checks import InvalidInput, check_finite, invalid, names_wrong_types
+from ambrose.identification import static_load
+from ambrose.identification.data_quality.signals import left_out, settled, taken
 from ambrose.identification.loop import Progress, identify_loop, usual_unknowns
 from ambrose.identification.methods import (
     METHODS,
@@ -35,12 +35,10 @@ from ambrose.identification.result import (
     StaticIdentification,
 )
 from ambrose.identification.seal.pipeline import identify_seal
-from ambrose.identification.static_load import identify as static_load
-from ambrose.identification.validation.collar_place import at_place
+from ambrose.identification.validation.places import at_place
 from ambrose.identification.validation.repeatability import of_estimates
 from ambrose.law.law import LawLike, law_of
-from ambrose.machine.axial import AxialMachine
-from ambrose.machine.machine import Machine
+from ambrose.machine.machine import AxialMachine, Machine
 from ambrose.machine.parameters import TIMING
 from ambrose.options import choose, either
 from ambrose.record.files import read_record

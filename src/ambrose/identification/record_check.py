@@ -15,13 +15,12 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, check_path
 from ambrose.core.presentation import Presented
 from ambrose.identification.data_quality.diagnosis import machine_findings
-from ambrose.identification.data_quality.one_axis import coarse_steps, dead_channels
 from ambrose.identification.data_quality.signals import flat_tops, signal_findings
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding
 from ambrose.identification.one_axis.axis_record import is_text_table, read_axis
-from ambrose.identification.one_axis.identify import identify_generic
+from ambrose.identification.one_axis.identify import coarse_steps, dead_channels, identify_generic
 from ambrose.machine.machine import Machine, point_in_words
-from ambrose.machine.messages import BULLET
+from ambrose.machine.units import BULLET
 from ambrose.record.files import read_record
 from ambrose.record.record import Record
 

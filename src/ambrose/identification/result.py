@@ -14,22 +14,18 @@ import numpy as np
 
 from ambrose.core.presentation import Presented, data_frame, html_table, in_words, with_unit
 from ambrose.identification.findings import Code, Finding
-from ambrose.identification.model_updating import update_machine
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.output_error.magnetic_force import MagneticForce
-from ambrose.identification.parameters import COVERAGE, unit_of
+from ambrose.identification.parameters import COVERAGE, unit_of, update_machine
 from ambrose.identification.seal.by_pressure import SealByPressure
-from ambrose.identification.static_load.identify import StaticLoad
-from ambrose.identification.validation.operating_load import load_remarks
-from ambrose.identification.validation.repeatability import Repeats
-from ambrose.identification.validation.rotor_place import Standing
-from ambrose.identification.validation.simulated_output import SimulatedOutput
-from ambrose.identification.youla.identify import ResidualIdentification
+from ambrose.identification.static_load import StaticLoad
+from ambrose.identification.validation.places import Standing, load_remarks
+from ambrose.identification.validation.repeatability import Repeats, SimulatedOutput
+from ambrose.identification.youla import ResidualIdentification
 from ambrose.law.law import LawLike
-from ambrose.machine.axial import AxialMachine
-from ambrose.machine.machine import Machine
-from ambrose.machine.messages import one_line
+from ambrose.machine.machine import AxialMachine, Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY
+from ambrose.machine.units import one_line
 from ambrose.version import __version__
 
 

@@ -8,22 +8,264 @@ critical speeds.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from heapq import heappop, heappush
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import check_shape, invalid
+from ambrose.core.aliasing import continuous_poles
+from ambrose.core.checks import check_shape, invalid, named_failure
 from ambrose.core.presentation import Presented
-from ambrose.judge.along_speed import AlongSpeed
-from ambrose.judge.checks import Check, Curve
-from ambrose.judge.criteria import judge
-from ambrose.judge.rotor_modes import OSCILLATORY, Modes, damping_ratio, direction, modes
+from ambrose.core.statespace import StateSpace, index_of
+from ambrose.core.statespace import balance_matrix as balance
+from ambrose.judge.checks import Check, Curve, information, judge
 from ambrose.law.law import LawLike
 from ambrose.law.loop import closed_loop
-from ambrose.machine.criteria import TWO_PI, Demand
+from ambrose.machine.criteria import SENSITIVITY_RANGE, TWO_PI, Demand, demand
+from ambrose.machine.description import Requirements
 from ambrose.model.plant import Plant
+from ambrose.model.static_load import LEAST_AMPLIFICATION, allowed_amplification
+
+# Closed-loop poles with damping and whirl direction.
+#
+# | check | what | unit | |---|---|---| | stability.abscissa | largest real part of the closed-loop
+# poles; must be negative | rad/s | | poles.log_decrement.lowest | smallest log dec to the first
+# forward mode or top speed | - | | poles.log_decrement.least | smallest log dec of all poles,
+# bending and controller included | - | | poles.damping.above | smallest damping ratio above top
+# speed, for a damping_above | - | | poles.damping.least | smallest damping ratio of all poles | - |
+#
+# The curve "poles" holds every closed-loop pole.
+
+
+# below this modulus of the whirl measure a mode has no direction; assumed: at 0.1 the backward
+# circle has 0.9 of the forward one's amplitude, sqrt((1 - 0.1)/(1 + 0.1))
+PLANAR = 0.1
+# a damping ratio below this counts as a mode that can ring: at 1/sqrt(2) and above the response of
+# a second-order system has no resonance peak
+OSCILLATORY = 0.7071067811865476
+_LISTED = 5  # least damped modes of the standard's range that a detail lists
+_NAMED = 4  # unstable poles that a detail names
+_ROUNDING = 1e-9  # relative, so that the mode that sets a limit lies within it
+# |Im|/|pole| up to which a pole is real: rounding splits a double real pole by about the root of
+# 1e-16
+_REAL = 1e-7
+_KILO = 9999.5  # Hz: from here four digits do not reach the unit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Modes:
+    """Poles (n,) [rad/s] with Im >= 0, by ascending modulus, and how the rotor moves in each.
+
+    whirl (n,): +1 forward circle, -1 backward circle, 0 a line; shapes (ports, n): complex
+    displacements at ``ports``. A pole with Im = 0 stands for itself, every other for a conjugate
+    pair.
+    """
+
+    poles: np.ndarray
+    whirl: np.ndarray
+    shapes: np.ndarray
+    ports: tuple[str, ...]
+
+    def __getitem__(self, kept: np.ndarray) -> Modes:
+        return Modes(self.poles[kept], self.whirl[kept], self.shapes[:, kept], self.ports)
+
+    @property
+    def frequency(self) -> np.ndarray:
+        """Damped natural frequency |Im| (n,) [rad/s]."""
+        return self.poles.imag
+
+    @property
+    def damping(self) -> np.ndarray:
+        """Damping ratio -Re/|pole| (n,)."""
+        return damping_ratio(self.poles)
+
+    @property
+    def log_decrement(self) -> np.ndarray:
+        """2 pi (-Re)/|Im| (n,), infinite for real stable poles."""
+        return log_decrement(self.poles)
+
+
+def damping_ratio(poles: np.ndarray) -> np.ndarray:
+    """-Re/|pole|, 0 for a pole at the origin."""
+    modulus = np.abs(poles)
+    return np.divide(-poles.real, modulus, out=np.zeros(poles.shape), where=modulus > 0)
+
+
+def log_decrement(poles: np.ndarray) -> np.ndarray:
+    """2 pi zeta/sqrt(1 - zeta^2) = 2 pi (-Re)/|Im|: the log of the ratio of two successive maxima;
+    +-inf on the real axis.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        value = TWO_PI * -poles.real / np.abs(poles.imag)
+    return np.where(np.isnan(value), 0.0, value)
+
+
+def direction(whirl: float) -> str:
+    """The whirl measure in a word."""
+    return "planar" if abs(whirl) < PLANAR else "forward" if whirl > 0 else "backward"
+
+
+@named_failure("the modes of the loop")
+def modes(system: StateSpace, ports: tuple[str, ...], plant: StateSpace | None = None) -> Modes:
+    """Eigenvalues of the system and the displacement shapes at its outputs q_<port>.
+
+    plant: the continuous system that a sampled loop was closed around (``law.loop.closed_loop``):
+    sampled poles are mapped by ln(z)/dt, those of the plant's modes above half the sample rate on
+    the branch of their true frequency (core/aliasing.py); None: all within half the sample rate.
+
+    Whirl: with X, Y a port pair's complex amplitudes, (|X + jY|^2 - |X - jY|^2) / (sum of both),
+    summed over the pairs; spin is positive from the first direction to the second.
+    """
+    values, vectors = continuous_poles(system.A, system.dt, None if plant is None else plant.A)
+    real = np.abs(values.imag) <= _REAL * np.abs(values)
+    values = np.where(real, values.real, values)
+    keep = values.imag >= 0
+    values, vectors = values[keep], vectors[:, keep]
+    order = np.lexsort((values.imag, np.abs(values)))
+    values, vectors = values[order], vectors[:, order]
+    shapes = system.C[index_of([f"q_{port}" for port in ports], system.outputs, "output")] @ vectors
+    return Modes(values, whirl_measure(shapes, ports), shapes, ports)
+
+
+def whirl_measure(shapes: np.ndarray, ports: tuple[str, ...]) -> np.ndarray:
+    """The measure of ``modes`` for shapes (ports, n) complex, in [-1, 1]."""
+    first, second = pairs(ports)
+    X, Y = shapes[first], shapes[second]
+    forward, backward = (np.abs(X + 1j * Y) ** 2).sum(axis=0), (np.abs(X - 1j * Y) ** 2).sum(axis=0)
+    total = forward + backward
+    return np.divide(forward - backward, total, out=np.zeros(len(total)), where=total > 0)
+
+
+def pairs(ports: tuple[str, ...]) -> tuple[list[int], list[int]]:
+    """Positions of the two directions of every place: <place>_zeta with _eta, <place>_x with _y."""
+    first, second = [], []
+    for one, other in (("_zeta", "_eta"), ("_x", "_y")):
+        for i, port in enumerate(ports):
+            if port.endswith(one) and port.removesuffix(one) + other in ports:
+                first.append(i)
+                second.append(ports.index(port.removesuffix(one) + other))
+    return first, second
+
+
+def pole_checks(eigenmodes: Modes, requirements: Requirements, top_speed: float) -> list[Check]:
+    """The checks of this file's table.
+
+    top_speed [rad/s]: modes up to it are held against the log decrement, whatever their direction;
+    so is the first mode that can ring and does not whirl backward. A detail lists the five least
+    damped modes of the standard's range.
+    """
+    listed_to = SENSITIVITY_RANGE.limits[0].value
+    worst = int(np.argmax(eigenmodes.poles.real))
+    abscissa = float(eigenmodes.poles[worst].real)
+    stability = judge(
+        "stability.abscissa",
+        "Stability: largest real part of the closed-loop poles",
+        abscissa,
+        "rad/s",
+        Demand(0.0, "<", "asymptotic stability"),
+        _stability_detail(eigenmodes, worst),
+    )
+    ringing = np.flatnonzero((eigenmodes.poles.imag > 0) & (eigenmodes.damping < OSCILLATORY))
+    if not ringing.size:
+        return [stability]
+    checks = [stability]
+    forward = ringing[eigenmodes.whirl[ringing] > -PLANAR]
+    ceiling = max(top_speed, float(eigenmodes.frequency[forward[0]]) if forward.size else 0.0)
+    low = ringing[eigenmodes.frequency[ringing] <= ceiling * (1 + _ROUNDING)]
+    if low.size:
+        k = low[np.argmin(eigenmodes.log_decrement[low])]
+        title = "Log decrement of the modes up to the top speed"
+        where = (
+            f"{describe(eigenmodes, k)}; modes up to {ceiling / TWO_PI:.4g} Hz, "
+            "the first forward one included"
+        )
+        wanted = demand("log decrement", requirements)
+        checks.append(
+            judge(
+                "poles.log_decrement.lowest", title, eigenmodes.log_decrement[k], "-", wanted, where
+            )
+        )
+    order = ringing[np.argsort(eigenmodes.damping[ringing])]
+    above = order[eigenmodes.frequency[order] > top_speed * (1 + _ROUNDING)]
+    if requirements.damping_above is not None and above.size:
+        checks.append(
+            judge(
+                "poles.damping.above",
+                "Damping ratio of the modes above the top speed",
+                eigenmodes.damping[above[0]],
+                "-",
+                demand("damping above the top speed", requirements),
+                f"at {_place(eigenmodes, above[0])}",
+            )
+        )
+    near = [k for k in order if eigenmodes.frequency[k] <= listed_to][:_LISTED]
+    least = order[0]
+    where = f"at {_place(eigenmodes, least)}"
+    listed = (
+        ", ".join(f"{_place(eigenmodes, k)} {eigenmodes.damping[k]:.3g}" for k in near) or "none"
+    )
+    detail = f"{where}; least up to {listed_to / TWO_PI:.4g} Hz: {listed}"
+    return [
+        *checks,
+        information(
+            "poles.log_decrement.least",
+            "Least log decrement of all poles",
+            eigenmodes.log_decrement[least],
+            "-",
+            where,
+            ">=",
+        ),
+        information(
+            "poles.damping.least",
+            "Least damping ratio of all poles",
+            eigenmodes.damping[least],
+            "-",
+            detail,
+            ">=",
+        ),
+    ]
+
+
+def describe(eigenmodes: Modes, k: int) -> str:
+    """One pole in words: "pole at 49.2 Hz forward, damping ratio -0.171"."""
+    pole = eigenmodes.poles[k]
+    if pole.imag == 0:
+        return f"real pole at {pole.real:.4g} rad/s"
+    return f"pole at {_place(eigenmodes, k)}, damping ratio {eigenmodes.damping[k]:.3g}"
+
+
+def _place(eigenmodes: Modes, k: int) -> str:
+    hertz = eigenmodes.frequency[k] / TWO_PI
+    place = f"{hertz:.4g} Hz" if hertz < _KILO else f"{hertz / 1e3:.4g} kHz"
+    return f"{place} {direction(eigenmodes.whirl[k])}"
+
+
+def _stability_detail(eigenmodes: Modes, worst: int) -> str:
+    unstable = np.flatnonzero(eigenmodes.poles.real >= 0)
+    if not unstable.size:
+        return f"rightmost: {describe(eigenmodes, worst)}"
+    unstable = unstable[np.argsort(-eigenmodes.poles[unstable].real)]
+    named = "; ".join(describe(eigenmodes, k) for k in unstable[:_NAMED])
+    return named + (f"; and {unstable.size - _NAMED} more" if unstable.size > _NAMED else "")
+
+
+def pole_curve(eigenmodes: Modes) -> Curve:
+    """All closed-loop poles, both halves of the plane."""
+    both = np.concatenate([eigenmodes.poles, eigenmodes.poles[eigenmodes.poles.imag > 0].conj()])
+    return Curve(
+        "poles",
+        "Closed-loop poles",
+        "poles",
+        both.real,
+        both.imag[None, :],
+        ("poles",),
+        "rad/s",
+        "rad/s",
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -169,3 +411,294 @@ def speed_stability_check(along: AlongSpeed) -> Check:
         Demand(0.0, "<", "asymptotic stability"),
         f"largest at {speeds[k] / TWO_PI:.4g} Hz, {span}{unstable}",
     )
+
+
+# Critical speeds in an unbalance response: where it peaks sharply enough (API 617, lateral
+# analysis; recalled).
+#
+# A peak at N with half-power band N1 to N2, where the response is 1/sqrt(2) of the peak, has the
+# amplification factor N / (N2 - N1). From 2.5 on it is a critical speed, below it is called
+# critically damped and needs no separation margin.
+
+
+_TAKEN = (
+    "; no running_speeds in the machine file: taken to run from its slowest to its fastest turning "
+    "operating point"
+)
+_SAME = 0.03  # peaks of two lines this near to each other are one critical speed
+
+
+def critical_speeds(curve: Curve) -> tuple[tuple[float, float], ...]:
+    """(speed [rad/s], amplification factor) of an "unbalance" curve, by speed; of all its lines but
+    the envelope "worst case".
+
+    Where only one flank falls to half power inside the curve, twice that flank is the band; a peak
+    without any is left out.
+    """
+    rows = [
+        row
+        for label, row in zip(curve.labels, curve.y, strict=True)
+        if label != "worst case" or len(curve.labels) == 1
+    ]
+    return tuple(peak for peak in _different(curve.x, rows) if peak[1] >= LEAST_AMPLIFICATION)
+
+
+def separation_check(
+    omega: np.ndarray, orbits: np.ndarray, requirements: Requirements, running: tuple[float, float]
+) -> Check:
+    """The critical speed of orbits (k, w) over omega (w,) [rad/s] that comes nearest to what API
+    617 allows, or past it.
+
+    Its value is the amplification factor over the allowed one: 0 where no peak stands near
+    ``running`` [rad/s]. The detail lists all critical speeds, the one that binds first.
+    """
+    resonances = _different(omega, orbits)
+    allowed = allowed_amplification(np.array([speed for speed, _ in resonances]), running)
+    ratio = np.array([factor for _, factor in resonances]) / allowed
+    listed = "; ".join(
+        f"{speed / TWO_PI:.4g} Hz has {factor:.3g}, "
+        f"{f'allowed {most:.3g}' if math.isfinite(most) else 'far enough'}"
+        for (speed, factor), most in (
+            (resonances[k], allowed[k]) for k in np.argsort(-ratio, kind="stable")
+        )
+        if factor >= LEAST_AMPLIFICATION
+    )
+    low, high = (speed / TWO_PI for speed in running)
+    title = (
+        f"Amplification factor near the running speeds, {low:.4g} to {high:.4g} Hz, relative to "
+        "the allowed one"
+    )
+    wanted = demand("separation margin", requirements)
+    return judge(
+        "unbalance.separation",
+        title,
+        float(ratio.max(initial=0.0)),
+        "-",
+        wanted,
+        (listed or f"no peak has a factor of {LEAST_AMPLIFICATION:g}: no critical speed")
+        + ("" if requirements.running_speeds else _TAKEN),
+    )
+
+
+def _different(x: np.ndarray, rows: Iterable[np.ndarray]) -> list[tuple[float, float]]:
+    kept: list[tuple[float, float]] = []
+    for speed, factor in sorted(
+        (peak for row in rows for peak in _peaks(x, row)), key=lambda item: -item[1]
+    ):
+        if all(abs(speed - other) > _SAME * other for other, _ in kept):
+            kept.append((speed, factor))
+    return sorted(kept)
+
+
+def _peaks(x: np.ndarray, y: np.ndarray) -> list[tuple[float, float]]:
+    tops = np.flatnonzero((y[1:-1] > y[:-2]) & (y[1:-1] >= y[2:])) + 1
+    peaks = []
+    for top in tops:
+        flanks = [_flank(x[top::step], y[top::step]) for step in (-1, 1)]
+        known = [flank for flank in flanks if flank is not None]
+        if known:
+            peaks.append((float(x[top]), float(x[top] / (sum(known) * 2 / len(known)))))
+    return peaks
+
+
+def _flank(x: np.ndarray, y: np.ndarray) -> float | None:
+    """From the peak y[0] to half power along one side; None where the curve ends or rises above the
+    peak before.
+    """
+    half = y[0] / math.sqrt(2)
+    k = int(np.argmax(y < half))
+    if y[k] >= half or y[:k].max() > y[0]:
+        return None
+    return abs(float(np.interp(half, [y[k], y[k - 1]], [x[k], x[k - 1]]) - x[0]))
+
+
+# The poles of a loop followed over a range of speeds, so that the worst speed is looked at and not
+# the one that an even grid hits.
+#
+# From speed to speed poles are paired by their shapes: with right eigenvectors v and left ones w,
+# w_i v_i = 1, pole i goes on as j where |(w_i v'_j)(w'_j v_i)| is near one. An interval is parted
+#
+# 1. where a pole may rise above the rightmost one known: above its highest value of three speeds,
+# by
+#    ``_BEND`` times what it bends between them;
+# 2. where the frequencies of two light poles cross that may rise so by coupling there, within a
+# small
+#    part of it;
+# 3. where the frequency of a light pole passes the speed itself, a critical speed, if those are
+#    asked for.
+#
+# Nothing is proved between the speeds.
+
+
+_BEND = 3.0  # times what a pole bends, by which it may rise
+_SAME_ALONG_SPEED = 1e-3  # of the largest real part: to what it is found
+_NEAR = 0.3  # of a coupling: the distance of two frequencies that is near
+_NARROW = 1e-4  # of the range: intervals below are not parted
+_MOST = 80  # speeds in all, but for critical ones
+_LIGHT = 0.15  # damping ratio below which a pole is a narrow one
+_STEPS = 2  # with which a critical speed is approached
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AlongSpeed:
+    """speeds (s,) [rad/s], ascending; abscissa (s,) [rad/s]: the largest real part there; critical:
+    (speed, damping) [rad/s] of every critical speed of a light pole.
+    """
+
+    speeds: np.ndarray
+    abscissa: np.ndarray
+    critical: tuple[tuple[float, float], ...]
+
+
+def follow(
+    loop_at: Callable[[float], StateSpace], speeds: np.ndarray, *, critical: bool = False
+) -> AlongSpeed:
+    """A closed loop, of the same states at any speed [rad/s], at every one of speeds (s,),
+    ascending, and at those that are added. critical: whether critical speeds are looked for.
+    """
+    known: dict[float, _Modes] = {}
+
+    def at(speed: float) -> _Modes:
+        if speed not in known:
+            known[speed] = _modes(loop_at(speed))
+        return known[speed]
+
+    highest = max(float(at(float(w)).poles.real.max()) for w in speeds)
+    narrowest = _NARROW * float(speeds[-1] - speeds[0])
+    # intervals to be parted, the one in which a pole may rise highest first
+    waiting: list[tuple[float, float, float, float]] = []
+
+    def judge_interval(low: float, high: float) -> None:
+        nonlocal highest
+        start, cross = at(low).poles, _crossing(at(low), _paired(at(low), at(high)), highest)
+        share = 0.5 if cross is None else cross
+        middle = low + share * (high - low)
+        halfway = _paired(at(low), at(middle))
+        centre, end = halfway.poles, _paired(halfway, at(high)).poles
+        highest = max(highest, float(centre.real.max()))
+        # off the chord from start to end, and no farther than a parabola or a corner rises
+        bend = np.abs((centre - (1 - share) * start - share * end).real)
+        top = np.maximum(np.maximum(start.real, end.real), centre.real)
+        rise = np.inf if cross is not None else float((top + _BEND * bend).max())
+        if high - low > narrowest:
+            heappush(waiting, (-rise, low, middle, high))
+
+    for low, high in pairwise(speeds.tolist()):
+        judge_interval(low, high)
+    while waiting and len(known) < _MOST:
+        rise, low, middle, high = heappop(waiting)
+        if -rise <= highest + _SAME_ALONG_SPEED * abs(highest):
+            break
+        judge_interval(low, middle)
+        judge_interval(middle, high)
+
+    found: list[tuple[float, float]] = []
+    for low, high in pairwise(sorted(known)) if critical else ():
+        start, end = at(low).poles, _paired(at(low), at(high)).poles
+        light = np.minimum(-start.real, -end.real) < _LIGHT * high
+        passes = (start.imag - low > 0) != (end.imag - high > 0)
+        found += [
+            _critical(at, (low, start[k]), (high, end[k])) for k in np.flatnonzero(light & passes)
+        ]
+    found_at = np.array(sorted(known))
+    abscissa = np.array([known[w].poles.real.max() for w in found_at])
+    return AlongSpeed(found_at, abscissa, tuple(sorted(found)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Modes:
+    """Continuous poles (n,), of a sampled loop ln(z)/T; right vectors (n, n), and left ones, of
+    A (n, n); rate (n,): of a pole per change of its eigenvalue.
+    """
+
+    poles: np.ndarray
+    right: np.ndarray
+    left: np.ndarray
+    A: np.ndarray
+    rate: np.ndarray
+
+    def coupling(self, kept: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """Between the poles kept (k,), (k, k) [rad/s], by a change of A."""
+        moved = self.left[kept] @ change @ self.right[:, kept] * self.rate[kept]
+        return np.asarray(np.sqrt(np.abs(moved * moved.T)))
+
+
+def _modes(loop: StateSpace) -> _Modes:
+    balanced, scale = balance(loop.A)
+    values, right = np.linalg.eig(balanced)
+    try:
+        left = np.linalg.inv(right)
+    except np.linalg.LinAlgError:  # of a defective pole, to the last digit
+        left = np.linalg.pinv(right)
+    rate = np.ones(len(values), complex)
+    if loop.dt is not None:
+        # a pole of a delay at z = 0 is as far to the left as any
+        size = np.maximum(np.abs(values), 1e-12)
+        rate = 1 / (size * np.exp(1j * np.angle(values)) * loop.dt)
+        values = (np.log(size) + 1j * np.angle(values)) / loop.dt
+    return _Modes(values, scale[:, None] * right, left / scale, loop.A, rate)
+
+
+def _paired(first: _Modes, second: _Modes) -> _Modes:
+    """The second ones in the order of the first."""
+    from scipy.optimize import linear_sum_assignment
+
+    alike = np.abs((first.left @ second.right) * (second.left @ first.right).T)
+    distance = np.abs(first.poles[:, None] - second.poles[None, :])
+    apart = distance / (np.abs(first.poles)[:, None] + distance + 1.0)
+    _, order = linear_sum_assignment(apart - np.minimum(alike, 1.0))
+    return replace(
+        second,
+        poles=second.poles[order],
+        right=second.right[:, order],
+        left=second.left[order],
+        rate=second.rate[order],
+    )
+
+
+def _crossing(start: _Modes, end: _Modes, highest: float) -> float | None:
+    """The share of an interval, the first, at which the frequencies of two light poles cross that
+    may rise above the highest real part known by coupling there.
+    """
+    light = np.flatnonzero(
+        (start.poles.imag > 0)
+        & (end.poles.imag > 0)
+        & (-start.poles.real < _LIGHT * start.poles.imag)
+    )
+    a, b = start.poles[light], end.poles[light]
+    before = a.imag[:, None] - a.imag[None, :]
+    after = b.imag[:, None] - b.imag[None, :]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = before / (before - after)
+    inside = (share > 0) & (share < 1)
+    if not inside.any():
+        return None
+    # to first order two poles that meet part by the square root of m_ij m_ji, m = w (A' - A) v
+    change = end.A - start.A
+    coupling = np.maximum(
+        share * start.coupling(light, change), (1 - share) * end.coupling(light, change)
+    )
+    top = np.maximum(a.real, b.real)
+    inside &= np.maximum(top[:, None], top[None, :]) + _BEND * coupling > highest
+    # at an end that near to it what bends there is seen
+    inside &= np.minimum(np.abs(before), np.abs(after)) > _NEAR * coupling
+    return float(share[inside].min()) if inside.any() else None
+
+
+def _critical(
+    at: Callable[[float], _Modes], low: tuple[float, complex], high: tuple[float, complex]
+) -> tuple[float, float]:
+    """Where the frequency of a pole is the speed, by regula falsi, and its damping, both
+    [rad/s].
+    """
+    for _ in range(_STEPS):
+        (a, p), (b, q) = low, high
+        speed = float(a + (b - a) * (p.imag - a) / ((p.imag - a) - (q.imag - b)))
+        guess = p + (q - p) * (speed - a) / (b - a) if b > a else p
+        own = at(speed).poles
+        pole = complex(own[np.argmin(np.abs(own - guess))])
+        if (pole.imag - speed > 0) == (p.imag - a > 0):
+            low = speed, pole
+        else:
+            high = speed, pole
+    return float(pole.imag), max(abs(pole.real), 1e-6 * speed)

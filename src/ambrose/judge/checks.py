@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Protocol, cast
 
 import numpy as np
 
+from ambrose.core.checks import InvalidInput, check_finite, check_positive, check_types
 from ambrose.core.presentation import Presented, data_frame, html_table, in_words, with_unit
+from ambrose.law.law import Law, LawLike, law_of
+from ambrose.law.loop import Timing
+from ambrose.machine.criteria import Criterion, Demand
+from ambrose.machine.machine import Machine
+from ambrose.registry import registered, resolve
 
 _STABILITY = ("stability", "asymptotic stability")  # sources of a limit that only stability sets
 _COLUMNS = ("value", "unit", "relation", "limit", "passed", "zone", "detail")
@@ -214,3 +220,289 @@ def checks_table(checks: Sequence[Check], caption: str) -> str:
         for check in sorted(checks, key=lambda check: check.passed is not False)
     ]
     return html_table(rows, caption, heading)
+
+
+# A value held against its limit: a Check with verdict and zone. The limits themselves are data
+# (machine/criteria.py).
+
+
+def zone(criterion: Criterion, value: float) -> str | None:
+    """The zone of a value; None for a criterion without zones."""
+    for limit in criterion.limits:
+        if value < limit.value:
+            return limit.zone or None
+    return criterion.beyond
+
+
+def holds(value: float, relation: str, limit: float) -> bool:
+    """Whether ``value relation limit``; relation "<", "<=" or ">="."""
+    return bool({"<": value < limit, "<=": value <= limit, ">=": value >= limit}[relation])
+
+
+def judge(
+    name: str, title: str, value: float, unit: str, wanted: Demand, detail: str = ""
+) -> Check:
+    """The Check of a value against a Demand, with verdict and zone where there are any."""
+    check = Check(
+        name,
+        title,
+        float(value),
+        unit,
+        wanted.limit,
+        wanted.relation,
+        source=wanted.source,
+        detail=detail,
+    )
+    if wanted.zones is not None:
+        check = replace(check, zone=zone(wanted.zones, value))
+    if wanted.limit is not None:
+        check = replace(check, passed=holds(value, wanted.relation, wanted.limit))
+    return check
+
+
+def information(
+    name: str, title: str, value: float, unit: str, detail: str = "", relation: str = "<="
+) -> Check:
+    """A Check without a limit; relation "<=" where small is good, ">=" where large is."""
+    return Check(name, title, float(value), unit, relation=relation, detail=detail)
+
+
+def required_line(requirement: float | None) -> tuple[tuple[str, float], ...]:
+    """The user's own limit as a labelled horizontal line for a Curve; nothing without one."""
+    return () if requirement is None else (("required", float(requirement)),)
+
+
+def zone_lines(
+    criterion: Criterion, requirement: float | None = None, of: str = ""
+) -> tuple[tuple[str, float], ...]:
+    """Labelled horizontal lines for a Curve: the user's own limit, and the borders "zone A/B" ...
+    of the criterion; of: the lines that these judge, where the curve has others.
+    """
+    above = [*(limit.zone for limit in criterion.limits[1:]), criterion.beyond]
+    return required_line(requirement) + tuple(
+        (f"zone {limit.zone}/{next_}{of and f' of {of}'}", limit.value)
+        for limit, next_ in zip(criterion.limits, above, strict=True)
+    )
+
+
+# What moves while the machine runs, and who proves a loop along it: proofs are registered by the
+# annexes that hold them (``ambrose.registry``, kind "moving_proof"), the judge knows none.
+
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """How fast a machine may move between its operating points.
+
+    pressure_rate [Pa/s]: the fastest change of the seal pressure (None: the machine file's; without
+    one nothing is proved for a pressure that changes). pressure_error [Pa]: how far off what a
+    controller scheduled over the pressure is told may be. speed_rate [rad/s^2]: the fastest run-up
+    (None: nothing is proved for a speed that changes).
+    """
+
+    pressure_rate: float | None = None
+    pressure_error: float = 0.0
+    speed_rate: float | None = None
+
+    def __post_init__(self) -> None:
+        rates = (("pressure_rate", "Pa/s"), ("speed_rate", "rad/s^2"))
+        for name, unit in rates:
+            if getattr(self, name) is not None:
+                remedy = f"give the fastest change in {unit}, or leave it out"
+                check_positive(getattr(self, name), name, remedy)
+        check_finite(self.pressure_error, "pressure_error [Pa]")
+
+
+class MovingProof(Protocol):
+    """A registered proof: a module or object with these three."""
+
+    def refuse(self, machine: Machine, law: Law, motion: Motion) -> None:
+        """Raises InvalidInput where the motion that is asked for cannot be examined."""
+
+    def prove(
+        self,
+        machine: Machine,
+        law: Law,
+        points: Sequence[Checks],
+        timing: Timing | None,
+        motion: Motion,
+        *,
+        tolerances: bool,
+        progress: Progress,
+    ) -> tuple[Checks, ...]:
+        """The checks along the motion; ``points``: those at the operating points."""
+
+    def unproved(self, machine: Machine, motion: Motion) -> str | None:
+        """Of what could move and is not proved, a sentence for people; None where there is none."""
+
+
+def moving_proofs() -> tuple[MovingProof, ...]:
+    """The proofs of this installation."""
+    return tuple(cast(MovingProof, resolve(place)) for place in registered("moving_proof").values())
+
+
+def refuse_motion(machine: Machine, law: LawLike, motion: Motion) -> None:
+    """Raises InvalidInput, before anything is computed, where a motion cannot be examined."""
+    proofs = moving_proofs()
+    if not proofs and (motion.pressure_rate or motion.speed_rate or motion.pressure_error):
+        raise InvalidInput(
+            "this installation holds no proof for a speed or pressure that changes; leave the "
+            "rates out, or install the annex of schedules"
+        )
+    for proof in proofs:
+        proof.refuse(machine, law_of(law), motion)
+
+
+# The verdict on one controller: its checks at every operating point and over the tolerances, and
+# the worst of each.
+
+
+OVER_TOLERANCES = "over all tolerances"
+CONTINUOUS = "continuous: no sample rate is known"
+# in the details of what was found on it
+WITH_MEAN_DELAY = "of the continuous loop with the mean delay of the sampled one"
+
+
+def box_label(point: str) -> str:
+    """The label of the checks over the tolerances around an operating point."""
+    return f"{OVER_TOLERANCES} around {point}"
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Verification(Presented):
+    """points: the checks at each operating point. boxes: those over the tolerances around each,
+    labelled by ``box_label``. ranges: those over each of the machine's ranges of speed and
+    pressure, labelled as it is. moving: those of a seal pressure that changes, where its fastest
+    rate is known. synchronous: those of each synchronous block, over its band of speed.
+
+    A point without a box has no tolerance around it, or an unstable loop. left_out: the operating
+    points that could not be verified, such as those outside a controller's schedule; a verification
+    that leaves a point out is not passed. timing: what loop was judged, "continuous" or "sampled at
+    10000 Hz, ...". not_varied: tolerances of the machine file that do not hold around a point, with
+    the reason (the file's ``around``, or a nominal value of zero). over_speed: the points beyond
+    the machine's own top speed, in words. controller: which one, with its digest.
+    """
+
+    _DATA: ClassVar = (
+        "passed",
+        "stable",
+        "points",
+        "tolerances=boxes",
+        "ranges",
+        "moving",
+        "left_out",
+        "timing",
+        "not_varied",
+        "over_speed",
+        "controller",
+    )
+
+    points: tuple[Checks, ...]
+    boxes: tuple[Checks, ...] = ()
+    left_out: tuple[str, ...] = ()
+    timing: str = CONTINUOUS
+    not_varied: tuple[str, ...] = ()
+    ranges: tuple[Checks, ...] = ()
+    moving: tuple[Checks, ...] = ()
+    synchronous: tuple[Checks, ...] = ()
+    over_speed: tuple[str, ...] = ()
+    controller: str = ""
+
+    def __post_init__(self) -> None:
+        check_types(type(self).__post_init__, (self,), {})
+
+    @property
+    def labelled(self) -> tuple[tuple[str, Checks], ...]:
+        """Every point's label with its checks, then those over the tolerances, over the ranges and
+        of what changes.
+        """
+        every = (*self.points, *self.boxes, *self.ranges, *self.moving, *self.synchronous)
+        return tuple((checks.label, checks) for checks in every)
+
+    @property
+    def tolerances(self) -> Checks | None:
+        """The checks over the tolerances around the first point that has any; None where none were
+        made.
+        """
+        return self.boxes[0] if self.boxes else None
+
+    @property
+    def stable(self) -> bool:
+        """Whether the loop is stable at every operating point that was verified, and no unstable
+        one was found over the tolerances, ranges and changes around them.
+        """
+        return all(checks.holds for _, checks in self.labelled)
+
+    @property
+    def passed(self) -> bool:
+        """Whether every loop is stable, every limit is met and no operating point was left out."""
+        return (
+            bool(self.points)
+            and not self.left_out
+            and all(checks.passed for _, checks in self.labelled)
+        )
+
+    @property
+    def worst(self) -> Mapping[str, Check]:
+        """The worst Check of each name; its detail begins with the label of the point where it
+        occurs.
+
+        The largest value where small is good (relations "<", "<="), the smallest where large is
+        good (">="); NaN is worst.
+        """
+        worst: dict[str, tuple[float, Check]] = {}
+        for label, checks in self.labelled:
+            for check in checks.checks:
+                badness = -check.value if check.relation.startswith(">") else check.value
+                badness = math.inf if math.isnan(badness) else badness
+                if check.name not in worst or badness > worst[check.name][0]:
+                    detail = f"{label}: {check.detail}" if check.detail else label
+                    worst[check.name] = badness, replace(check, detail=detail)
+        return {name: check for name, (_, check) in worst.items()}
+
+    def __getitem__(self, label: str) -> Checks:
+        """The checks at the operating point of that label; raises KeyError that lists the
+        labels.
+        """
+        table = dict(self.labelled)
+        if label not in table:
+            raise KeyError(f"{label!r} was not verified; there are {', '.join(map(repr, table))}")
+        return table[label]
+
+    def facts(self) -> Mapping[str, Any]:
+        """The verdict, what failed, the worst sensitivity and where it was verified."""
+        peak = self.worst.get("sensitivity.output.max")
+        return {
+            "passed": self.passed,
+            "stable": self.stable,
+            **({} if peak is None else {"worst_sensitivity": peak.value}),
+            "failed": list(
+                dict.fromkeys(check.name for _, checks in self.labelled for check in checks.failed)
+            ),
+            **({"left_out": self.left_out} if self.left_out else {}),
+            "points": [label for label, _ in self.labelled],
+            "loop": self.timing,
+        }
+
+    def _repr_html_(self) -> str:
+        left_out = f"; left out: {'; '.join(self.left_out)}" if self.left_out else ""
+        where = f"the worst of {', '.join(label for label, _ in self.labelled)}{left_out}"
+        return checks_table(
+            list(self.worst.values()), f"{'passed' if self.passed else 'not passed'}: {where}"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """The verdict without its curves as JSON-ready data; synchronous blocks where there are."""
+        blocks = [checks.to_dict() for checks in self.synchronous]
+        return Presented.to_dict(self) | ({"synchronous": blocks} if blocks else {})
+
+    def to_frame(self) -> Any:
+        """A pandas.DataFrame with a row for each check at each point: point, check, value, unit,
+        relation, limit, ...
+        """
+        rows = [(label, check) for label, checks in self.labelled for check in checks.checks]
+        return data_frame(
+            {"point": [label for label, _ in rows], **check_columns([check for _, check in rows])}
+        )

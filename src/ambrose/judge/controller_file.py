@@ -33,10 +33,11 @@ from pydantic import (
 from pydantic.json_schema import GenerateJsonSchema
 
 from ambrose.core.checks import InvalidInput, check_path, invalid
-from ambrose.core.hinf.scaling import Matrices
+from ambrose.core.hinf_riccati import Matrices
 from ambrose.core.scheduled import AND, ScheduledSystem
 from ambrose.core.statespace import StateSpace
 from ambrose.judge.result import Certificate, Provenance, Status, Synthesis, synthesis_of
+from ambrose.law.design_problem import Weights
 from ambrose.law.filter_table import (
     DEFAULT_AXES,
     FACTS,
@@ -47,28 +48,24 @@ from ambrose.law.filter_table import (
     mat_table,
     other_feedback,
 )
-from ambrose.law.law import LawLike
-from ambrose.law.scheduling import scheduling_named
-from ambrose.law.weights import Weights
-from ambrose.machine.atomic_write import write_text
-from ambrose.machine.controller import PidSettings
-from ambrose.machine.file.parse import read_table
+from ambrose.law.law import LawLike, scheduling_named
 from ambrose.machine.file.tables import table_of
-from ambrose.machine.file.toml import machine_hash
-from ambrose.machine.json_text import parse_json
-from ambrose.machine.limits import (
+from ambrose.machine.file.toml import machine_hash, read_table
+from ambrose.machine.machine import Machine
+from ambrose.machine.ordinary_file import (
     CONTROLLER_BYTES,
     CONTROLLER_NUMBERS,
     DELAY_SAMPLES,
     GRID_POINTS,
     SAMPLE_TIME,
     STATES,
+    parse_json,
+    read_text,
+    write_text,
 )
-from ambrose.machine.machine import Machine
-from ambrose.machine.messages import quoted
-from ambrose.machine.ordinary_file import read_text
-from ambrose.machine.synchronous import Synchronous
-from ambrose.machine.validation.synchronous import synchronous_problems
+from ambrose.machine.part import PidSettings, Synchronous
+from ambrose.machine.units import quoted
+from ambrose.machine.validation.controller import synchronous_problems
 from ambrose.record.apart import tree_of
 from ambrose.version import __version__
 
@@ -546,7 +543,7 @@ def _synthesis(table: ControllerTable) -> Synthesis:
 
 
 def _check_timing(settings: Mapping[str, Any]) -> None:
-    """What ``law.timing`` reads: the rate and the delay that the controller was designed for."""
+    """What ``law.loop`` reads: the rate and the delay that the controller was designed for."""
     for key, most in (("rate", 1 / SAMPLE_TIME), ("delay_samples", DELAY_SAMPLES)):
         value = settings.get(key)
         if value is not None and (

@@ -24,10 +24,8 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.frequency import largest_gain
-from ambrose.judge.checks import Check, Curve
-from ambrose.judge.criteria import information, judge
-from ambrose.judge.loop_response import Evaluator, LoopResponse
-from ambrose.judge.peaks import peaks_of
+from ambrose.judge.checks import Check, Curve, information, judge
+from ambrose.judge.loop_response import Evaluator, LoopResponse, peaks_of
 from ambrose.machine.criteria import TWO_PI, demand
 from ambrose.machine.description import Requirements
 

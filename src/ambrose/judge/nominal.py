@@ -1,45 +1,375 @@
 """Verification of one closed loop: everything that holds without uncertainty, on the plant given.
 
 Give it the full plant: a controller designed on a reduced one can destabilise a bending mode. The
-checks are listed in the tables of rotor_modes.py, campbell.py, sensitivity.py, margins.py,
-unbalance.py and transient.py; limits come from criteria.py, overridden by the requirements. The
+checks are listed in the tables of campbell.py, campbell.py, loop_response.py, margins.py,
+unbalance.py and nominal.py; limits come from criteria.py, overridden by the requirements. The
 loop diagram is in core/lft.py.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import check_shape, invalid, named_failure
-from ambrose.judge.along_speed import follow
-from ambrose.judge.campbell import speed_stability_check
-from ambrose.judge.checks import Check, Checks, Curve
+from ambrose.core.response import pulses, simulate
+from ambrose.core.sampling import c2d
+from ambrose.core.statespace import StateSpace, select
+from ambrose.judge.campbell import follow, modes, pole_checks, pole_curve, speed_stability_check
+from ambrose.judge.checks import Check, Checks, Curve, information, judge
 from ambrose.judge.loop_response import (
     Evaluator,
     LoopResponse,
+    Peak,
     add_poles,
     frequency_grid,
     loop_evaluator,
+    sensitivity_checks,
     solid_cores,
 )
 from ambrose.judge.margins import margin_checks
-from ambrose.judge.rotor_modes import modes, pole_checks, pole_curve
-from ambrose.judge.sensitivity import sensitivity_checks
-from ambrose.judge.thrust import thrust_checks
-from ambrose.judge.transient import pulse_checks, pulse_response
-from ambrose.judge.unbalance import assembled_check, unbalance_checks, unbalance_curve
+from ambrose.judge.unbalance import (
+    assembled_check,
+    axis_limit_check,
+    unbalance_checks,
+    unbalance_curve,
+)
 from ambrose.law.law import LawLike
 from ambrose.law.loop import closed_loop, match_controller
-from ambrose.machine.axial import AxialMachine
-from ambrose.machine.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, TWO_PI
+from ambrose.law.pid import channel_chains
+from ambrose.machine.criteria import (
+    CURRENT_PULSE,
+    SENSITIVITY_RANGE,
+    SPEED_RANGE_FACTOR,
+    TWO_PI,
+    Pulse,
+    demand,
+    machine_limit,
+)
 from ambrose.machine.description import Requirements
+from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.model.axial import Loaded, at_point, loaded, sides
 from ambrose.model.effect import speed_knots
 from ambrose.model.plant import Plant, top_speed
-from ambrose.model.unbalance import Unbalance, residual_unbalance
+from ambrose.model.static_load import Unbalance, magnet_coefficients, residual_unbalance
+
+# The magnets of the axis along the shaft against their process thrust: at rest, and while it
+# changes.
+#
+# | check | what | unit | |---|---|---| | axial.capacity | process thrust over the largest static
+# force against it | - | | axial.current | static control current that holds it | A | |
+# axial.change.displacement_0p | largest motion while the thrust goes from end to end | m | |
+# axial.change.current_0p | largest control current on the way, the static one with it | A | |
+# axial.change.voltage_0p | slew: L di/dt of a coil on the way, L at rest if none is given | V |
+#
+# The change is from the least to the largest thrust of all operating points within load_time, or
+# back; the loop is the linear one of the point. Rows of the change are absent where there is none.
+
+
+_STEP = 2e-5  # [s] of a continuous loop
+_RECORD = 0.25  # [s] after the change
+
+
+def thrust_checks(closed: StateSpace, plant: Plant) -> tuple[list[Check], list[Curve]]:
+    """The checks and curves of this file's table; closed: ``law.loop.closed_loop``."""
+    machine = plant.machine
+    assert isinstance(machine, AxialMachine)
+    part, at = machine.thrust, at_point(machine, plant.point)
+    side = "right" if at.load < 0 else "left"
+    largest = at.capacity[at.load < 0]
+    checks = [
+        judge(
+            "axial.capacity",
+            "Process thrust over static capacity",
+            abs(at.load) / largest if largest > 0 else np.inf,
+            "-",
+            machine_limit(1.0, "the magnet's largest force at its place"),
+            f"{abs(at.load):.4g} N, carried to the {side}, of {largest:.4g} N",
+        ),
+        judge(
+            "axial.current",
+            "Static control current",
+            abs(at.current),
+            "A",
+            machine_limit(part.max_current, "max_current"),
+            f"bias {part.bias_current[0]:g} and {part.bias_current[1]:g} A",
+        ),
+    ]
+    loads = [item.load for item in machine.conditions] or [0.0]
+    low, high = min(loads), max(loads)
+    if high <= low:
+        return checks, []
+    time, moved, current = _change(closed, plant, high - low, part.load_time)
+    return [*checks, *_change_checks(machine, at, (low, high), time, moved, current)], [
+        Curve(
+            f"axial.change.{name}",
+            f"{title} while the thrust changes",
+            "time",
+            time,
+            values[None],
+            plant.axes,
+            "s",
+            unit,
+        )
+        for name, title, values, unit in (
+            ("displacement", "Displacement", moved, "m"),
+            ("current", "Control current", current, "A"),
+        )
+    ]
+
+
+def _change(
+    closed: StateSpace, plant: Plant, height: float, duration: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Time [s], displacement [m] and change of the control current [A] (k,) while a force rises by
+    so much [N] in so long [s].
+    """
+    (axis,) = plant.axes
+    part = select(closed, [f"f_{axis}"], [f"q_{axis}", f"i_{axis}"])
+    sampled = c2d(part, _STEP) if part.dt is None else part
+    dt = sampled.dt or _STEP
+    time = np.arange(int(np.ceil((_RECORD + duration) / dt))) * dt
+    ramp = np.ones(len(time)) if duration <= 0 else np.clip((time + dt / 2) / duration, 0, 1)
+    moved, current = simulate(sampled, height * ramp[None])
+    return time, moved, current
+
+
+def _change_checks(
+    machine: AxialMachine,
+    at: Loaded,
+    ends: tuple[float, float],
+    time: np.ndarray,
+    moved: np.ndarray,
+    change: np.ndarray,
+) -> list[Check]:
+    part, amplifier = machine.thrust, machine.amplifier
+    words = f"{ends[0]:.4g} to {ends[1]:.4g} N " + (
+        f"in {1e3 * part.load_time:g} ms" if part.load_time else "at once"
+    )
+    # from the static current of one end: up with the force, or down with its mirror image
+    starts = [loaded(part, end, at.place).current for end in ends]
+    peak = max(
+        float(np.abs(start + way * change).max())
+        for start, way in zip(starts, (1.0, -1.0), strict=True)
+    )
+    stops = part.touchdown_gap
+    # the nearer stop
+    left = None if stops is None else min(stops[0] + at.place, stops[1] - at.place)
+    slope = float(np.abs(np.diff(change)).max() / (time[1] - time[0]))
+    # without a stated inductance N^2/R of the coil whose flux meets least
+    inductance = amplifier.inductance or max(
+        side.turns**2 / side.met(0.0, side.gap) for side in sides(part)
+    )
+    return [
+        judge(
+            "axial.change.displacement_0p",
+            "Largest displacement while the thrust changes",
+            float(np.abs(moved).max()),
+            "m",
+            machine_limit(left, "way to the nearer stop"),
+            words,
+        ),
+        judge(
+            "axial.change.current_0p",
+            "Largest control current while the thrust changes",
+            peak,
+            "A",
+            machine_limit(part.max_current, "max_current"),
+            words,
+        ),
+        information(
+            "axial.change.voltage_0p",
+            "Coil voltage while the thrust changes",
+            inductance * slope,
+            "V",
+            words,
+        )
+        if amplifier.max_voltage is None
+        else judge(
+            "axial.change.voltage_0p",
+            "Coil voltage while the thrust changes",
+            inductance * slope,
+            "V",
+            machine_limit(amplifier.max_voltage, "the amplifier's max_voltage"),
+            words,
+        ),
+    ]
+
+
+# Whether a reference controller's gains outweigh the magnets' negative stiffness at rest.
+
+
+def stiffness_margin(machine: Machine) -> float | None:
+    """The least K_p k_i / k_s of the channels of the reference controller; below 1 a bearing pushes
+    away at rest.
+    """
+    if machine.reference is None:
+        return None
+    k_i, k_s = magnet_coefficients(machine, machine.operation.design)
+    gains = np.array([gain for gain, _ in channel_chains(machine.reference, machine.axes)])
+    if machine.reference.coordinates != "axes":
+        k_i, k_s = np.full(len(gains), k_i.min()), np.full(len(gains), k_s.max())
+    with np.errstate(divide="ignore"):
+        return float((gains * k_i / k_s).min())
+
+
+def below_stiffness(margin: float) -> str:
+    """What to say of a margin below one."""
+    return (
+        f"K_p k_i is below k_s ({margin:.3g} of it): the [controller] leaves negative stiffness "
+        "and holds nothing; raise gain "
+        f"{1.5 / margin:.2g} times or more"
+    )
+
+
+# Response to a short pulse of excitation current: settling time, peak displacements, currents and
+# forces.
+#
+# | check | what | unit | |---|---|---| | impulse.settling | time after the pulse until all
+# displacements stay in the band | s | | impulse.displacement_0p | largest measured displacement | m
+# | | impulse.current_0p | largest control current of the axis nearest to its limit | A | |
+# impulse.force_0p | largest magnetic force k_i i + k_s q of the axis nearest to its limit | N |
+#
+# Curves: "impulse.displacement" and "impulse.current", the response to the pulse on the axis that
+# settles last.
+
+
+_STEP_TRANSIENT = 1e-4  # s; a 550 Hz mode has 18 samples a period
+_FIRST_RECORD = 0.25  # s
+_LONGEST_RECORD = 4.0  # s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PulseResponse:
+    """time (k,) [s] from the start of the pulse; displacement, current and bearing displacement
+    (pulsed axis, axis, k).
+    """
+
+    time: np.ndarray
+    displacement: np.ndarray
+    current: np.ndarray
+    bearing_displacement: np.ndarray
+    pulse: Pulse
+
+    def settling(self) -> np.ndarray:
+        """Per pulsed axis the time [s] from the end of the pulse until every displacement stays
+        inside the band; inf when it has not, or not for the last tenth of the record.
+        """
+        size = np.abs(self.displacement)
+        outside = (size > self.pulse.band * size.max(axis=(1, 2), keepdims=True)).any(axis=1)
+        last = np.where(
+            outside.any(axis=1), outside.shape[1] - 1 - np.argmax(outside[:, ::-1], axis=1), 0
+        )
+        settled = np.maximum(self.time[last] - self.pulse.duration, 0.0)
+        return np.where(last < 0.9 * len(self.time), settled, np.inf)
+
+
+def pulse_response(
+    closed: StateSpace,
+    plant: Plant,
+    pulse: Pulse = CURRENT_PULSE,
+    longest: float = _LONGEST_RECORD,
+) -> PulseResponse:
+    """The closed loop's exact response to the pulse on every axis in turn, recorded until it has
+    settled (a quarter of a second at least, ``longest`` [s] at most).
+
+    closed: ``law.loop.closed_loop``; sampled loops keep their own sample time. Raises
+    NumericalFailure when unstable.
+    """
+    axes = plant.axes
+    outputs = [*plant.named("y"), *plant.named("i"), *plant.bearing_named("q")]
+    part = select(closed, [f"e_{axis}" for axis in axes], outputs)
+    sampled = c2d(part, _STEP_TRANSIENT) if part.dt is None else part
+    dt = sampled.dt or _STEP_TRANSIENT
+    record = _FIRST_RECORD
+    while True:
+        samples = int(np.ceil((record + pulse.duration) / dt))
+        pulse_samples = max(1, round(pulse.duration / dt))
+        answers = pulses(sampled, pulse.amplitude, pulse_samples, samples)
+        stacked = answers.reshape(len(axes), 3, len(axes), samples)
+        response = PulseResponse(
+            np.arange(samples) * dt, stacked[:, 0], stacked[:, 1], stacked[:, 2], pulse
+        )
+        if record >= longest or np.isfinite(response.settling()).all():
+            return response
+        record = min(4 * record, longest)
+
+
+def pulse_checks(
+    response: PulseResponse, plant: Plant, requirements: Requirements
+) -> tuple[list[Check], list[Curve]]:
+    """The checks and curves of this file's table."""
+    axes, pulse = plant.axes, response.pulse
+    settling = response.settling()
+    worst = int(np.argmax(settling))
+    words = (
+        f"{pulse.amplitude:g} A for {pulse.duration * 1e3:g} ms on one axis after the other, band "
+        f"{pulse.band:.0%}"
+    )
+    open_end = (
+        "" if np.isfinite(settling[worst]) else f"; not settled after {response.time[-1]:.3g} s"
+    )
+    k_i, k_s = magnet_coefficients(plant.machine, plant.point)
+    force = k_i[:, None] * response.current + k_s[:, None] * response.bearing_displacement
+    largest = np.abs(response.displacement).max(axis=2)
+    at = np.unravel_index(np.argmax(largest), largest.shape)
+    checks = [
+        judge(
+            "impulse.settling",
+            "Settling time after a current pulse",
+            settling[worst],
+            "s",
+            demand("settling time", requirements),
+            f"pulse on {axes[worst]}: {words}{open_end}",
+        ),
+        information(
+            "impulse.displacement_0p",
+            "Largest displacement after a current pulse",
+            largest[at],
+            "m",
+            f"axis {axes[at[1]]}, pulse on {axes[at[0]]}",
+        ),
+        axis_limit_check(
+            plant,
+            "impulse.current_0p",
+            "Largest control current after a current pulse",
+            _peaks(response.current),
+            requirements,
+        ),
+        axis_limit_check(
+            plant,
+            "impulse.force_0p",
+            "Largest magnetic force after a current pulse",
+            _peaks(force),
+            requirements,
+        ),
+    ]
+    curves = [
+        Curve(
+            f"impulse.{name}",
+            f"{title}, pulse on {axes[worst]}",
+            "time",
+            response.time,
+            values[worst],
+            axes,
+            "s",
+            unit,
+        )
+        for name, title, values, unit in (
+            ("displacement", "Displacement", response.displacement, "m"),
+            ("current", "Control current", response.current, "A"),
+        )
+    ]
+    return checks, curves
+
+
+def _peaks(values: np.ndarray) -> list[Peak]:
+    """Largest modulus per axis of values (pulsed axis, axis, k)."""
+    return [Peak(float(value), np.nan, False) for value in np.abs(values).max(axis=(0, 2))]
+
 
 _LOWEST = 0.5 * TWO_PI  # rad/s, start of the default grid
 # speeds at which the rotor is assembled anew for unbalance, and for stability, to begin with

@@ -32,28 +32,34 @@ from numpy.typing import ArrayLike
 from ambrose.core.checks import check_shape, invalid, named_failure
 from ambrose.core.frequency import evaluate, schur_form
 from ambrose.core.lft import GeneralizedPlant, lft
+from ambrose.core.mu.all_frequencies import chords
 from ambrose.core.mu.bounds import mu_peak
-from ambrose.core.mu.chords import chords
 from ambrose.core.statespace import StateSpace, is_stable, select, spectral_abscissa
-from ambrose.core.worst_case.bounds import FAILURES, gain_bound, proved_gain, proved_margin
-from ambrose.core.worst_case.crossing import BoxMargin, box_margin
-from ambrose.core.worst_case.loop import (
+from ambrose.core.worst_case import (
+    FAILURES,
+    BoxGain,
+    gain_bound,
+    peak_at,
+    proved_gain,
+    proved_margin,
+    worst_gain,
+)
+from ambrose.core.worst_case_loop import (
     BoxLoop,
+    BoxMargin,
     box_loop,
+    box_margin,
     corners,
     default_grid,
     gains,
     samples,
     unstable_poles,
 )
-from ambrose.core.worst_case.search import BoxGain, peak_at, worst_gain
-from ambrose.judge.checks import Check, Checks, Curve
-from ambrose.judge.criteria import information, judge, required_line
+from ambrose.judge.checks import Check, Checks, Curve, information, judge, required_line
 from ambrose.judge.loop_response import half_order_share, solid_cores
-from ambrose.law.design_problem import design_plant, unit_problem, with_performance_block
+from ambrose.law.design_problem import Weights, design_plant, unit_problem, with_performance_block
 from ambrose.law.law import LawLike, law_of
 from ambrose.law.loop import match_axes, match_controller
-from ambrose.law.weights import Weights
 from ambrose.machine.criteria import TWO_PI, Demand, demand
 from ambrose.machine.description import OperatingPoint, Requirements, Tolerance
 from ambrose.model.plant import Plant

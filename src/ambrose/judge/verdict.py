@@ -6,30 +6,262 @@ verification = verify_controller(machine, controller)     # as the front door an
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
-from ambrose.core.arguments import names_wrong_types
-from ambrose.core.checks import InvalidInput
+import numpy as np
+
+from ambrose.core.checks import InvalidInput, names_wrong_types
 from ambrose.core.statespace import StateSpace
 from ambrose.judge import nominal, robust, sampled
-from ambrose.judge.between import check_range
-from ambrose.judge.checks import Check, Checks
-from ambrose.judge.motion import Motion, moving_proofs, refuse_motion
-from ambrose.judge.plants import Progress, full_plants, plant_at, plants_along_speed, split_covered
-from ambrose.judge.stability import judge_assumed
+from ambrose.judge.campbell import follow
+from ambrose.judge.checks import (
+    CONTINUOUS,
+    WITH_MEAN_DELAY,
+    Check,
+    Checks,
+    Curve,
+    Motion,
+    Verification,
+    box_label,
+    judge,
+    moving_proofs,
+    refuse_motion,
+    required_line,
+)
+from ambrose.judge.plants import (
+    Progress,
+    full_plants,
+    judge_assumed,
+    plant_at,
+    plants_along_speed,
+    split_covered,
+)
+from ambrose.judge.result import Certificate, certify
 from ambrose.judge.synchronous import block_loops, check_block
-from ambrose.judge.verification import CONTINUOUS, WITH_MEAN_DELAY, Verification, box_label
-from ambrose.law.law import Law, LawLike, law_of
-from ambrose.law.loop import match_controller, running_law
-from ambrose.law.scheduling import SPEED
-from ambrose.law.timing import DEFAULT, STATE_RATE, Timing, timing_of
-from ambrose.law.weights import machine_weights
-from ambrose.machine.description import OperatingPoint, Tolerance
+from ambrose.law.design_problem import machine_weights
+from ambrose.law.law import SPEED, Law, LawLike, law_of
+from ambrose.law.loop import (
+    DEFAULT,
+    STATE_RATE,
+    Timing,
+    closed_loop,
+    match_controller,
+    running_law,
+    timing_of,
+)
+from ambrose.machine.criteria import Demand, demand
+from ambrose.machine.description import OperatingPoint, OperatingRange, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
+from ambrose.model.effect import speed_knots
 from ambrose.model.plant import Plant, beyond_top_speed
-from ambrose.model.uncertainty import not_varied, tolerances_around
+from ambrose.model.uncertainty import default_bending_modes, not_varied, reduce, tolerances_around
+
+# Verification between operating points: a range of speeds and pressures, gridded as finely as the
+# loop changes.
+
+
+_STEPS = 8  # of a refinement along one axis
+
+
+def check_range(
+    machine: Machine, area: OperatingRange, law: LawLike, timing: Timing | None = None
+) -> Checks:
+    """Stability and sigma_max(S_o) of the nominal loop over a range; the worst point that is found,
+    on the full plant.
+
+    law: a controller or a schedule that covers the range; timing: the loop as it runs (None:
+    continuous).
+    """
+    extremes = search(machine, area, law, timing)
+    modes, looked = default_bending_modes(assemble(machine, area.corners[0])), 0
+
+    def certified(speed: float, pressure: float, bending: int | None = None) -> Certificate:
+        nonlocal looked
+        looked += 1
+        plant = assemble(machine, area.at(speed, pressure))
+        plant = plant if bending is None else reduce(plant, bending)
+        return certify(plant, running_law(law, plant, timing), margins=False)
+
+    point = extremes.worst(area)
+    place = point.speed, point.seal_pressure
+    if np.isfinite(extremes.peak).all():
+        place = _refined(lambda v, p: certified(v, p, modes).closed_loop_norm, extremes, place)
+    worst = certified(*place)
+
+    def loop_at(speed: float, pressure: float) -> StateSpace:
+        plant = assemble(machine, area.at(speed, pressure))
+        return closed_loop(plant, running_law(law, plant, timing))
+
+    # the poles over the speed, at both ends of the pressure and where the peak is largest
+    speeds = np.unique([*extremes.speeds, *speed_knots(machine, *area.speed)])
+    count, abscissa = 0, float(extremes.abscissa.max())
+    for pressure in sorted({*area.seal_pressure, place[1]}) if len(speeds) > 1 else ():
+        along = follow(partial(loop_at, pressure=pressure), speeds)
+        count += len(along.speeds)
+        k = int(np.argmax(along.abscissa))
+        if along.abscissa[k] >= 0 and worst.stable:
+            place = float(along.speeds[k]), pressure
+            worst = certified(*place)
+        abscissa = max(abscissa, float(along.abscissa[k]))
+    abscissa = max(abscissa, worst.spectral_abscissa)
+    size = (
+        f"{len(extremes.speeds)} speeds x {len(extremes.pressures)} pressures, "
+        f"{100 * extremes.change:.2g} % between neighbours"
+    )
+    wanted = demand("maximum singular value of a sensitivity", machine.requirements)
+    checks = (
+        judge(
+            "range.abscissa",
+            f"Outermost pole between the points, {count + looked} speeds and pressures, refined at "
+            "the worst",
+            abscissa,
+            "rad/s",
+            Demand(0.0, "<", "stability"),
+            f"found on a grid of {size}, on the full plant over the speed",
+        ),
+        judge(
+            "range.sensitivity",
+            f"Largest output sensitivity between the points, {extremes.peak.size + looked} speeds "
+            "and pressures, refined at the worst",
+            worst.closed_loop_norm,
+            "-",
+            wanted,
+            f"{area.at(*place).label}, on the full plant; found on a grid of {size}",
+        ),
+    )
+    curves: tuple[Curve, ...] = ()
+    if len(extremes.speeds) > 1:
+        labels = tuple(f"{pressure / 1e5:.4g} bar" for pressure in extremes.pressures)
+        title = f"Largest sensitivity over {area.label}"
+        curves = (
+            Curve(
+                "range.sensitivity",
+                title,
+                "speed",
+                extremes.speeds,
+                extremes.peak.T,
+                labels,
+                "rad/s",
+                "-",
+                required_line(wanted.limit),
+            ),
+        )
+    return Checks(area.label, abscissa < 0, checks, curves)
+
+
+def _refined(
+    value: Callable[[float, float], float], extremes: Found, place: tuple[float, float]
+) -> tuple[float, float]:
+    """Where a value is largest near a place of the grid: over the speed, then over the pressure,
+    twice, each time nearer.
+    """
+    from scipy.optimize import minimize_scalar
+
+    best, where = float(extremes.peak.max()), place
+    for share in (1.0, 0.25):
+        for axis, grid in enumerate((extremes.speeds, extremes.pressures)):
+            k = int(np.argmin(np.abs(grid - where[axis])))
+            ends = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
+            low, high = (float(where[axis] + share * (end - where[axis])) for end in ends)
+            if high - low <= 1e-9 * (grid[-1] - grid[0]):
+                continue
+            other = where[1 - axis]
+
+            def along(x: float, axis: int = axis, other: float = other) -> float:
+                return -value(x, other) if axis == 0 else -value(other, x)
+
+            found = minimize_scalar(
+                along, bounds=(low, high), method="bounded", options={"maxiter": _STEPS}
+            )
+            if -found.fun > best:
+                best, x = -float(found.fun), float(found.x)
+                where = (x, other) if axis == 0 else (other, x)
+    return where
+
+
+# A range of speeds and seal pressures, gridded as finely as the loop changes.
+#
+# The grid is a product of speeds and pressures. It begins with ends and middles; the interval over
+# which the figure changes most is halved until no neighbours differ by more than a few per cent, or
+# the number of points is used up. What is found is found on that grid: nothing is proved between
+# its points.
+
+
+_CHANGE = 0.05  # relative, of the figure between neighbours
+_MOST = 32  # points of the grid
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """speeds (s,) [rad/s], pressures (p,) [Pa], peak (s, p): sigma_max(S_o), inf where the loop is
+    unstable; abscissa (s, p) [rad/s]; change: the largest relative change of the peak between
+    neighbours.
+    """
+
+    speeds: np.ndarray
+    pressures: np.ndarray
+    peak: np.ndarray
+    abscissa: np.ndarray
+
+    @property
+    def change(self) -> float:
+        return max(
+            (float(_changes(self.peak, axis).max(initial=0.0)) for axis in (0, 1)), default=0.0
+        )
+
+    def worst(self, area: OperatingRange) -> OperatingPoint:
+        """Where the peak is largest; where loops are unstable, the most unstable one."""
+        value = self.abscissa if np.isinf(self.peak).any() else self.peak
+        i, j = np.unravel_index(int(value.argmax()), value.shape)
+        return area.at(float(self.speeds[i]), float(self.pressures[j]))
+
+
+def search(
+    machine: Machine, area: OperatingRange, law: LawLike, timing: Timing | None = None
+) -> Found:
+    """The peak of sigma_max(S_o) of the nominal loop, and its outermost pole, over a range, on
+    plants with all bending modes that matter (``default_bending_modes``).
+
+    law: a continuous controller or a schedule; timing: the loop as it runs (None: continuous).
+    """
+    known: dict[tuple[float, float], tuple[float, float]] = {}
+    modes = default_bending_modes(assemble(machine, area.corners[0]))
+
+    def judged(speed: float, pressure: float) -> tuple[float, float]:
+        if (speed, pressure) not in known:
+            plant = reduce(assemble(machine, area.at(speed, pressure)), modes)
+            certificate = certify(plant, running_law(law, plant, timing), margins=False)
+            known[speed, pressure] = certificate.closed_loop_norm, certificate.spectral_abscissa
+        return known[speed, pressure]
+
+    grids = [
+        np.linspace(*pair, 3) if pair[1] > pair[0] else np.array(pair[:1])
+        for pair in (area.speed, area.seal_pressure)
+    ]
+    while True:
+        values = np.array([[judged(float(v), float(p)) for p in grids[1]] for v in grids[0]])
+        result = Found(grids[0], grids[1], values[..., 0], values[..., 1])
+        changes = [_changes(result.peak, axis).max(axis=1 - axis, initial=0.0) for axis in (0, 1)]
+        axis = int(np.argmax([part.max(initial=0.0) for part in changes]))
+        added = len(grids[1 - axis])
+        if changes[axis].max(initial=0.0) <= _CHANGE or result.peak.size + added > _MOST:
+            return result
+        k = int(changes[axis].argmax())
+        grids[axis] = np.insert(grids[axis], k + 1, grids[axis][k : k + 2].mean())
+
+
+def _changes(peak: np.ndarray, axis: int) -> np.ndarray:
+    """Relative changes between neighbours along an axis; 0 between two unstable ones, inf between a
+    stable and an unstable.
+    """
+    low, high = (np.take(peak, range(i, peak.shape[axis] - 1 + i), axis) for i in (0, 1))
+    both = np.isinf(low) & np.isinf(high)
+    with np.errstate(invalid="ignore"):
+        change = np.abs(high - low) / np.minimum(low, high)
+    return np.where(both, 0.0, change)
 
 
 @names_wrong_types
@@ -55,7 +287,7 @@ def verify_controller(
     tolerances: whether the tolerance boxes are examined; everywhere: bounds and proofs around every
     point, not the first alone. rate [Hz], delay_samples: the loop as it
     runs, sampled by Tustin's map and late; None: as the controller or the machine file says
-    (``law.timing.timing_of``); where neither knows a rate the continuous loop is judged, and
+    (``law.loop.timing_of``); where neither knows a rate the continuous loop is judged, and
     ``timing`` says so. pressure_rate [Pa/s]: the fastest change of the seal pressure (None: the
     machine file's; without one nothing is proved for a pressure that changes); pressure_error [Pa]:
     how far off what a controller scheduled over it is told may be; speed_rate [rad/s^2]: the

@@ -16,14 +16,12 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.core.realisation.balancing import balance_system
-from ambrose.core.statespace import StateSpace
-from ambrose.law.filters import chain, section_matrix
-from ambrose.machine.controller import Section
-from ambrose.machine.file.text_table import named_table
-from ambrose.machine.limits import DELAY_SAMPLES, SAMPLE_TIME, STATES
-from ambrose.machine.messages import quoted
-from ambrose.machine.units import DIMENSIONS, in_si
+from ambrose.core.statespace import StateSpace, balance_system
+from ambrose.law.pid import chain, section_matrix
+from ambrose.machine.file.stations import named_table
+from ambrose.machine.ordinary_file import DELAY_SAMPLES, SAMPLE_TIME, STATES
+from ambrose.machine.part import Section
+from ambrose.machine.units import DIMENSIONS, in_si, quoted
 from ambrose.machine.validation.controller import section_problems
 
 SOS = ("b0", "b1", "b2", "a0", "a1", "a2")
@@ -351,7 +349,7 @@ def _channels(channels: Any, dt: float | None) -> Iterator[_Channel]:
 
 
 def _filter(where: str, item: Any, dt: float | None) -> list[np.ndarray]:
-    """Theta of every section of a filter (law/filters.py). Raises InvalidInput."""
+    """Theta of every section of a filter (law/pid.py). Raises InvalidInput."""
     item = _named(item) if isinstance(item, dict) else {}
     where = item.pop("where", where)
     form = next((key for key in _FILTERS if key in item), "zeros")

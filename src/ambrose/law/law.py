@@ -8,22 +8,200 @@ changes with. ``law_of`` makes a law of whatever has been given; a law itself st
 
 from __future__ import annotations
 
+import math
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 
 from ambrose.core.checks import invalid
-from ambrose.core.scheduled import ScheduledSystem
+from ambrose.core.scheduled import AND, ScheduledSystem
 from ambrose.core.statespace import ControllerLike, StateSpace, as_statespace, is_system
-from ambrose.law.program import ControlProgram, Ranged, ScheduledProgram
-from ambrose.law.scheduling import PRESSURE, SPEED, Scheduling, scheduling_named
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.synchronous import Synchronous
+from ambrose.machine.part import Synchronous
 from ambrose.model.plant import Plant
+
+# A controller that exists as a running program: the rig hands it the errors of one sample and takes
+# its currents.
+#
+# ``code.c.compiled`` makes one from the generated C code, so that what runs on the rig is what runs
+# on the machine.
+
+
+@runtime_checkable
+class ControlProgram(Protocol):
+    """What the rig asks of a program.
+
+    sample_time [s]; delay [samples]: from the errors to the currents that act; system: its law
+    between its limits in the program's own states, sampled, err_<axis> [m] to u_<axis> [A]: for the
+    equilibrium at the start and the poles of the loop.
+    """
+
+    @property
+    def sample_time(self) -> float: ...
+
+    @property
+    def delay(self) -> int: ...
+
+    @property
+    def system(self) -> StateSpace: ...
+
+    def begin(self, states: np.ndarray) -> None:
+        """Ready to go on from the states (n,) of ``system``."""
+
+    def step(self, errors: np.ndarray) -> np.ndarray:
+        """One sample: currents (a,) [A] from errors (a,) [m]."""
+
+
+@runtime_checkable
+class ScheduledProgram(ControlProgram, Protocol):
+    """A program whose law changes with the speed [rad/s] or, where its attribute ``parameter`` says
+    so, the pressure [Pa] or both ("speed and pressure", a tuple): it is told that before every
+    step; called with a value it returns its law there, frozen, as ``system`` is at the present.
+    """
+
+    def schedule(self, value: Any) -> None:
+        """Speed or pressure of the next step; NaN: not known."""
+
+    def __call__(self, value: Any) -> StateSpace: ...
+
+
+@runtime_checkable
+class Ranged(Protocol):
+    """What a scheduled program has besides that is made for a range."""
+
+    @property
+    def range(self) -> tuple[Any, Any]:
+        """Its lowest and highest value; of several tuples."""
+
+
+@runtime_checkable
+class NativeProgram(ControlProgram, Protocol):
+    """A program that the compiled rig calls by itself.
+
+    entry: address of ``int f(void *first, const double *errors, const double *told, double
+    *currents)``, [m], speed [rad/s] or what a ``ScheduledProgram`` is told, [A], and its first
+    argument; both hold as long as the program does. A negative result ends the run.
+    """
+
+    @property
+    def entry(self) -> tuple[int, int]: ...
+
+
+@runtime_checkable
+class AllAxesProgram(ControlProgram, Protocol):
+    """A program of the radial axes and of the one along the shaft, the last of its inputs and
+    outputs.
+
+    parts: the laws of the radial axes and of that one; the states of ``system`` are theirs, one
+    after the other.
+    """
+
+    @property
+    def parts(self) -> tuple[StateSpace, StateSpace]: ...
+
+
+def entry_of(program: ControlProgram) -> tuple[int, int] | None:
+    """Address and first argument of a ``NativeProgram``; None for any other."""
+    return program.entry if isinstance(program, NativeProgram) else None
+
+
+def teller(program: ControlProgram) -> Callable[[Any], None] | None:
+    """What a ``ScheduledProgram`` is told its speed or pressure by; None for any other."""
+    return program.schedule if isinstance(program, ScheduledProgram) else None
+
+
+# What a controller can be scheduled over: quantities of the operating point, by the names that the
+# schedule states.
+
+
+@dataclass(frozen=True, slots=True)
+class Scheduling:
+    """name and SI unit in a schedule, field of an OperatingPoint, unit in which people are told of
+    it and its size.
+
+    parts: of several at once, each by itself; a value is then a tuple, in their order.
+    """
+
+    name: str
+    unit: str
+    field: str = ""
+    people: str = ""
+    size: float = math.nan
+    parts: tuple[Scheduling, ...] = ()
+
+    @property
+    def each(self) -> tuple[Scheduling, ...]:
+        """Its parts, or itself alone."""
+        return self.parts or (self,)
+
+    def of(self, point: OperatingPoint) -> Any:
+        """Its value [unit] at an operating point."""
+        return (
+            tuple(part.of(point) for part in self.parts)
+            if self.parts
+            else float(getattr(point, self.field))
+        )
+
+    def moved(self, point: OperatingPoint, value: Any) -> OperatingPoint:
+        """The operating point with another value [unit] of it."""
+        if self.parts:
+            speed, pressure = value
+            return replace(point, speed=speed, seal_pressure=pressure)
+        return (
+            replace(point, speed=value)
+            if self.field == "speed"
+            else replace(point, seal_pressure=value)
+        )
+
+    def words(self, value: Any) -> str:
+        """A value [unit] for people: "140 Hz", "2.04 bar"."""
+        if self.parts:
+            return ", ".join(part.words(item) for part, item in zip(self.parts, value, strict=True))
+        return f"{value / self.size:.6g} {self.people}"
+
+    def number(self, value: Any) -> str:
+        """A value with its SI unit: "880 rad/s"."""
+        items = value if self.parts else (value,)
+        return ", ".join(
+            f"{item:.6g} {part.unit}" for part, item in zip(self.each, items, strict=True)
+        )
+
+    @property
+    def plural(self) -> str:
+        return AND.join(f"{part.name}s" for part in self.each)
+
+    @property
+    def rate_unit(self) -> str:
+        return f"{self.unit}^2" if self.unit.endswith("/s") else f"{self.unit}/s"
+
+
+SPEED = Scheduling("speed", "rad/s", "speed", "Hz", 2 * math.pi)
+PRESSURE = Scheduling("pressure", "Pa", "seal_pressure", "bar", 1e5)
+BOTH = Scheduling(
+    AND.join((SPEED.name, PRESSURE.name)),
+    AND.join((SPEED.unit, PRESSURE.unit)),
+    parts=(SPEED, PRESSURE),
+)
+SCHEDULINGS = {item.name: item for item in (SPEED, PRESSURE, BOTH)}
+
+
+def scheduling_named(name: str, unit: str | None = None, words: str = "") -> Scheduling:
+    """The scheduling by its name; unit: that which is stated (None: none is); words: the same for
+    people. Raises InvalidInput for anything that is no quantity of the operating point.
+    """
+    if name not in SCHEDULINGS or unit not in (None, SCHEDULINGS[name].unit):
+        known = " or ".join(f"{item.name} [{item.unit}]" for item in SCHEDULINGS.values())
+        raise invalid(
+            "the scheduling parameter",
+            words or (name if unit is None else f"{name} [{unit}]"),
+            known,
+            "make the schedule over one of them",
+        )
+    return SCHEDULINGS[name]
 
 
 class Law(ABC):

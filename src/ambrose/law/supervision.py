@@ -21,9 +21,8 @@ from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, 
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem, interval_points
 from ambrose.core.statespace import StateSpace
-from ambrose.law.law import LawLike, law_of
+from ambrose.law.law import PRESSURE, LawLike, law_of
 from ambrose.law.loop import match_axes
-from ambrose.law.scheduling import PRESSURE
 from ambrose.machine.machine import Machine
 
 # E = A - I, B, C, D, L: sampled, with the gain that leads its states to the currents that act

@@ -107,7 +107,7 @@ LOG_DECREMENT = Criterion(
 SEPARATION = Criterion(
     "api-617.separation-margin",
     "amplification factor of a critical speed over the one that its place allows "
-    "(model/separation.py)",
+    "(model/static_load.py)",
     "API 617",
     "9th edition (2022)",
     "separation margin",

@@ -14,10 +14,7 @@ from dataclasses import dataclass, field, replace
 from numbers import Real
 from typing import Annotated, Any
 
-from ambrose.core.arguments import names_wrong_types, unfit
-from ambrose.core.checks import check_positive, invalid
-from ambrose.machine.chain import ChainElement
-from ambrose.machine.controller import PidSettings
+from ambrose.core.checks import check_positive, invalid, names_wrong_types, unfit
 from ambrose.machine.kinds import (
     Angle,
     Choice,
@@ -35,13 +32,22 @@ from ambrose.machine.kinds import (
     Time,
     Words,
 )
-from ambrose.machine.limits import LARGEST_OF_A_POINT
-from ambrose.machine.magnet import Magnet
-from ambrose.machine.part import Part
-from ambrose.machine.rotor_model import BendingMode, Disc, ShaftSection
-from ambrose.machine.seals import Seal
-from ambrose.machine.stator import CasingMode, Sensor, Support
-from ambrose.machine.touchdown import CoastDown, Touchdown
+from ambrose.machine.ordinary_file import LARGEST_OF_A_POINT
+from ambrose.machine.part import (
+    BendingMode,
+    CasingMode,
+    ChainElement,
+    CoastDown,
+    Disc,
+    Magnet,
+    Part,
+    PidSettings,
+    Seal,
+    Sensor,
+    ShaftSection,
+    Support,
+    Touchdown,
+)
 
 Pair = tuple[float, float]  # (zeta, eta)
 
@@ -406,7 +412,7 @@ class DesignWeights(Part):
     """What a robust design (H-infinity, mu) aims at; weights are the inverse of what is allowed.
 
     With a control_crossover W_u rises from control_level through 1 there to control_limit, with
-    control_order (``law/weights.py`` makes transfer functions of it).
+    control_order (``law/design_problem.py`` makes transfer functions of it).
     """
 
     error_scale: Annotated[Length, "D_e, the largest acceptable control error"]

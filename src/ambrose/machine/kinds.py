@@ -10,8 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from ambrose.machine.messages import meant, shown
-from ambrose.machine.units import DIMENSIONS, read_quantity
+from ambrose.machine.units import DIMENSIONS, meant, read_quantity, shown
 
 # for an editor: a number, signed or not, with or without an exponent, then anything that begins
 # with a letter, a degree sign or %; whether it is a unit, ``read_quantity`` knows

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
-from ambrose.core.arguments import names_wrong_types
-from ambrose.core.checks import InvalidInput
+from ambrose.core.checks import InvalidInput, names_wrong_types
 from ambrose.core.presentation import html_table
 from ambrose.machine.attachment import attached, attachment_of, by_table
 from ambrose.machine.description import (
     SCHEMA_VERSION,
+    Amplifier,
+    DesignWeights,
     MachineDescription,
     OperatingPoint,
+    Operation,
+    Requirements,
     Tolerance,
 )
-from ambrose.machine.part import Part
-from ambrose.machine.rotor_model import BendingMode, Material
-from ambrose.machine.validation.machine import check_machine
+from ambrose.machine.part import BendingMode, Material, Part, PidSettings, Sensor
+from ambrose.machine.thrust import AxialRequirements, ThrustBearing
+from ambrose.machine.validation.machine import InvalidMachine, axial_problems, check_machine
 
 # keys of [machine]
 _HEAD = ("name", "description", "source", "beam_theory", "modal_damping", "gravity_direction")
@@ -53,8 +57,8 @@ class Machine(MachineDescription):
 
     @property
     def axial(self) -> Machine:
-        """The axis along the shaft as a machine of its own (``machine.axial.AxialMachine``). Raises
-        InvalidInput where there is no [[thrust_bearing]].
+        """The axis along the shaft as a machine of its own (``machine.machine.AxialMachine``).
+        Raises InvalidInput where there is no [[thrust_bearing]].
         """
         for effect, _ in attached(self):
             if effect.axis is not None:
@@ -212,3 +216,232 @@ def require_magnets(machine: MachineDescription) -> None:
             f"{machine.name} has no magnetic bearings, so that there is nothing to control; give "
             "it [[bearing]] tables, or take a command that does without: check, convert, lateral"
         )
+
+
+# The axis along the shaft as a machine of its own: machine.axial, in a file's address
+# ``machine.toml#axial``.
+#
+# It is the same rotor with one axis, <thrust bearing>_z, in place of the radial ones: every verb
+# takes it. Its operating points are those of the machine, each with its process thrust, and where
+# the sensor's target grows with heat, each also with the collar off centre by as much.
+
+
+# where the name of a table begins that the axis has of its own, and what stands before it
+_TABLES = re.compile(r"(?<=\[)(?=(?:controller|weights|requirements|tolerance)\b)")
+_OWN = "thrust_bearing."
+SUFFIX = "#axial"  # of the machine's name, as of its file's address
+AXIS = "_z"
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """What an axial operating point holds: the process thrust [N], and the collar's place [m] when
+    its sensor reads zero.
+    """
+
+    label: str
+    load: float
+    place: float
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class AxialMachine(Machine):
+    """A rotor on its thrust bearing, one axis; made by ``Machine.axial``.
+
+    whole: the machine that it is part of. conditions: of its operating points, by label. The
+    radial parts (bearings, seals, couplings, supports) are left out: decoupled, as built.
+    """
+
+    whole: Machine | None = field(default=None, compare=False)
+    conditions: tuple[Condition, ...] = field(default=(), compare=False)
+
+    @names_wrong_types
+    def __post_init__(self) -> None:
+        if lines := tuple(axial_problems(self, self.thrust)):
+            raise InvalidMachine(f'machine "{self.name}"', lines)
+
+    @property
+    def thrust(self) -> ThrustBearing:
+        """Its thrust bearing."""
+        found = next((part for part in self.effects if isinstance(part, ThrustBearing)), None)
+        if found is None:
+            raise InvalidInput(f"{self.name} has lost its thrust bearing; take machine.axial anew")
+        return found
+
+    @property
+    def axial(self) -> AxialMachine:
+        """Itself."""
+        return self
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The one axis."""
+        return (f"{self.thrust.name}{AXIS}",)
+
+    @property
+    def axis_bearings(self) -> tuple[Any, ...]:
+        """The bearing of the axis."""
+        return (self.thrust,)
+
+    @property
+    def sensor_pairs(self) -> tuple[Sensor, ...]:
+        """The axial sensor, as the pair whose first direction is z."""
+        sensor = self.thrust.sensor
+        return (
+            Sensor(
+                self.thrust.name,
+                sensor.position,
+                (sensor.gain, sensor.gain),
+                sensor.bandwidth,
+                sensor.noise,
+                (0.0, 0.0),
+                sensor.resolution,
+                (),
+                0.0,
+                1.0,
+            ),
+        )
+
+    def condition(self, point: OperatingPoint) -> Condition:
+        """Thrust and place at an operating point: by its label, else of the first one at its speed
+        and pressure (a record keeps no more); none where there is no such point.
+        """
+        points = [*zip(self.operation.points, self.conditions, strict=True)]
+        for own, item in points:
+            if point.label and own.label == point.label:
+                return item
+        for own, item in points:
+            if (own.speed, own.seal_pressure) == (point.speed, point.seal_pressure):
+                return item
+        return Condition(point.label, 0.0, 0.0)
+
+    def facts(self) -> Any:
+        """The axis in a line."""
+        return {
+            "name": self.name,
+            "axes": list(self.axes),
+            "points": len(self.operation.points),
+            "tolerances": len(self.tolerances),
+        }
+
+
+def in_file(machine: MachineDescription, words: str) -> str:
+    """Words that name tables of the machine file, with those of the axis where it is the machine:
+    "[weights]" is its "[thrust_bearing.weights]".
+    """
+    if not isinstance(machine, AxialMachine):
+        return words
+    return re.sub(
+        r"(\[\[?)(?=(?:controller|weights|requirements|tolerance)\b)", rf"\1{_OWN}", words
+    )
+
+
+def across_the_shaft(machine: Machine, what: str, remedy: str = "") -> None:
+    """Refuses the axis along the shaft for a verb of the radial axes.
+
+    what: why it is theirs alone, as a clause; remedy: what to do instead (default: to take the
+    machine without #axial). Raises InvalidInput.
+    """
+    if isinstance(machine, AxialMachine):
+        remedy = remedy or f'take the machine without "{SUFFIX}"'
+        raise InvalidInput(f"{machine.name} is the axis along the shaft, but {what}; {remedy}")
+
+
+def axial_machine(machine: Machine) -> AxialMachine:
+    """The axis along the shaft of a machine with a [[thrust_bearing]] (``Machine.axial``). Raises
+    InvalidInput.
+    """
+    part = next(part for part in machine.effects if isinstance(part, ThrustBearing))
+    points, conditions = _points(machine, part)
+    labels = {point.label for point in points}
+    design = machine.operation.design_point
+    return AxialMachine(
+        name=f"{machine.name}{SUFFIX}",
+        shaft=machine.shaft,
+        bearings=(),
+        sensors=(),
+        amplifier=_amplifier(machine.amplifier, part),
+        discs=machine.discs,
+        effects=(part,),
+        controller=_controller(machine, part),
+        operation=Operation(points, design_point=design if design in labels else ""),
+        tolerances=part.tolerances,
+        chain=machine.chain,
+        requirements=_requirements(machine.requirements, part.requirements),
+        weights=None if part.weights is None else DesignWeights(**_stated(part.weights)),
+        description=f"the axis along the shaft of {machine.name}",
+        source=machine.source,
+        modal_damping=machine.modal_damping,
+        beam_theory=machine.beam_theory,
+        assumed=tuple(row for row in machine.assumed if row[0].startswith("thrust_bearing")),
+        whole=machine,
+        conditions=conditions,
+    )
+
+
+def _points(
+    machine: Machine, part: ThrustBearing
+) -> tuple[tuple[OperatingPoint, ...], tuple[Condition, ...]]:
+    """The machine's points with their thrust; the first of each thrust once more per end of the
+    thermal growth.
+    """
+    loads = {item.point: item.force for item in part.loads}
+    # held where its sensor reads zero, a collar whose sensor reads g at the centre stands at -g
+    ends = [-growth for growth in dict.fromkeys(part.growth) if growth]
+    points: list[OperatingPoint] = []
+    conditions: list[Condition] = []
+    seen: set[float] = set()
+    for point in machine.operation.envelope:
+        load = loads.get(point.label, 0.0)
+        places = (0.0,) if load in seen else (0.0, *ends)
+        seen.add(load)
+        for place in places:
+            label = point.label if not place else f"{point.label}, collar at {1e6 * place:+.4g} um"
+            at = OperatingPoint(point.speed, point.seal_pressure, label=label)
+            points.append(at)
+            conditions.append(Condition(label, load, place))
+    return tuple(points), tuple(conditions)
+
+
+def _amplifier(common: Amplifier, part: ThrustBearing) -> Amplifier:
+    """The machine's, with the axis' own bandwidth, voltage and coil."""
+    own = common
+    if part.amplifier_bandwidth is not None:
+        own = Amplifier(
+            "first",
+            part.amplifier_bandwidth,
+            max_voltage=common.max_voltage,
+            inductance=common.inductance,
+        )
+    return replace(
+        own,
+        max_voltage=part.max_voltage or own.max_voltage,
+        inductance=part.inductance or own.inductance,
+    )
+
+
+def _controller(machine: Machine, part: ThrustBearing) -> PidSettings | None:
+    """The axis' own, with the rate and the delay of the machine's where it states none: one
+    processor runs both.
+    """
+    common, own = machine.controller or PidSettings(), part.controller
+    timing: dict[str, Any] = {"sample_time": common.sample_time, "delay": common.delay}
+    if own is None:
+        return PidSettings(**timing) if common.sample_time is not None else None
+    stated = _stated(own)
+    if "sample_time" in stated:
+        timing = {}
+    return PidSettings(**{**timing, **stated, "gain": (own.gain,)})
+
+
+def _requirements(machine: Requirements, own: AxialRequirements | None) -> Requirements:
+    """The axis' own, beside what of the machine's holds for any axis."""
+    keys = ("sensitivity_peak", "gain_margin", "phase_margin", "log_decrement")
+    common = {key: getattr(machine, key) for key in keys}
+    return Requirements(**{**common, **({} if own is None else _stated(own))})
+
+
+def _stated(part: Part) -> dict[str, Any]:
+    """The fields of a part that are not left out."""
+    values = ((item.name, getattr(part, item.name)) for item in fields(part))  # type: ignore[arg-type]
+    return {name: value for name, value in values if value is not None}

@@ -27,9 +27,9 @@ from typing import Any
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.machine.attachment import attached, attachments
 from ambrose.machine.description import AMPLIFIER_PARAMETERS, MachineDescription, OperatingPoint
-from ambrose.machine.limits import LEAST_MODES
-from ambrose.machine.messages import shown, suggestion
-from ambrose.machine.seals import not_straight
+from ambrose.machine.ordinary_file import LEAST_MODES
+from ambrose.machine.part import not_straight
+from ambrose.machine.units import shown, suggestion
 
 _TILTED = ("zeta", "eta")
 _DIRECT, _CROSS = ("xx", "yy"), ("xy", "yx")
@@ -235,7 +235,7 @@ def operating_point(
 
 def bending_modes_of_mesh(machine: MachineDescription) -> int:
     """How many bending modes per plane every full model of so many elements has, see
-    ``model.basis.bending_modes_of``.
+    ``model.assemble.bending_modes_of``.
     """
     return min(2 * sum(section.elements for section in machine.shaft), LEAST_MODES)
 

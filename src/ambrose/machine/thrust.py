@@ -3,7 +3,7 @@ the axis along the shaft in it.
 
 The axis z points to the rotor's right end. A collar turns between two stators, each a ring with one
 coil between an inner and an outer pole; the right one pulls along z. What is designed and judged
-for this axis is a machine of its own (``ambrose.machine.axial``).
+for this axis is a machine of its own (``ambrose.machine.machine``).
 """
 
 from __future__ import annotations

@@ -4,27 +4,29 @@ it hangs through there, and what that makes of the magnets' coefficients.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from ambrose.core.checks import named_failure
-from ambrose.machine.axial import AxialMachine
-from ambrose.machine.description import BiasPoint, MagneticBearing, OperatingPoint
-from ambrose.machine.limits import FINE_MESH_MODES
-from ambrose.machine.machine import Machine
-from ambrose.model.axial.magnet import at_point
-from ambrose.model.effects.loaded_magnet import LoadedMagnet, carrying
-from ambrose.model.effects.magnet import MagnetCoefficients
+from ambrose.core.checks import check_finite, invalid, named_failure
+from ambrose.machine.criteria import BALANCE_GRADE
+from ambrose.machine.description import BiasPoint, MagneticBearing, OperatingPoint, Requirements
+from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.ordinary_file import FINE_MESH_MODES
+from ambrose.model.axial import at_point
+from ambrose.model.effects.magnet import LoadedMagnet, MagnetCoefficients, carrying
 from ambrose.model.effects.rotor import (
     Rotor,
     displacement_row,
     finite_element_rotor,
     free_modes,
     gravity_load,
+    mass_properties,
 )
-from ambrose.model.ports import measured_ports
+from ambrose.model.plant import measured_ports, top_speed
 
 
 def static_sag(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
@@ -154,3 +156,147 @@ def _carrying(
 
 def _pair(values: np.ndarray) -> tuple[float, float]:
     return float(values[0]), float(values[1])
+
+
+# What balancing leaves: the unbalance of a balance grade, and the force it makes.
+#
+# A rotor of mass m balanced to grade G [m/s] at W_b keeps the unbalance U = m G / W_b [kg m]; at W
+# it pulls with F = U W^2 (ISO 21940-11).
+
+
+@dataclass(frozen=True, slots=True)
+class Unbalance:
+    """moment U [kg m]; mass [kg]; grade [m/s]; speed W_b [rad/s] of balancing; share (bearings,) of
+    U per bearing plane.
+    """
+
+    moment: float
+    mass: float
+    grade: float
+    speed: float
+    share: tuple[float, ...]
+
+    def force(self, speed: ArrayLike) -> np.ndarray:
+        """F = U W^2 [N] at speeds W (w,) [rad/s]."""
+        return self.moment * np.asarray(speed) ** 2
+
+
+def residual_unbalance(
+    machine: Machine, requirements: Requirements | None = None
+) -> Unbalance | None:
+    """The unbalance that the grade leaves (default G2.5) at the balancing speed (default: the
+    machine's highest speed).
+
+    None when no such speed is known. Raises InvalidInput for a grade or speed that is not positive.
+    """
+    requirements = machine.requirements if requirements is None else requirements
+    if isinstance(machine, AxialMachine):
+        return None  # it turns in the radial planes
+    speed = requirements.balance_speed or top_speed(machine)
+    if not speed:
+        return None
+    grade = (
+        BALANCE_GRADE.limits[0].value
+        if requirements.balance_grade is None
+        else requirements.balance_grade
+    )
+    properties = mass_properties(finite_element_rotor(machine))
+    return unbalance(properties.mass, grade, speed, _shares(machine, properties.centre))
+
+
+def unbalance(
+    mass: float, grade: float, speed: float, share: Sequence[float] = (0.5, 0.5)
+) -> Unbalance:
+    """The residual unbalance of a mass [kg] at a grade [m/s] and speed [rad/s]. Raises InvalidInput
+    unless all are positive.
+    """
+    for name, value in (
+        ("the rotor's mass [kg]", mass),
+        ("balance_grade", grade),
+        ("balance_speed", speed),
+    ):
+        if not float(check_finite(value, name)) > 0:
+            raise invalid(name, value, "positive", "G2.5 is 2.5e-3 m/s; speeds are in rad/s")
+    return Unbalance(mass * grade / speed, mass, grade, speed, tuple(share))
+
+
+def _shares(machine: Machine, centre: float) -> tuple[float, ...]:
+    """Lever rule for two bearings on either side of the centre of mass; equal shares otherwise."""
+    position = [bearing.position for bearing in machine.bearings]
+    if len(position) == 2 and min(position) < centre < max(position):
+        a = (position[1] - centre) / (position[1] - position[0])
+        return (a, 1 - a)
+    return tuple(1 / len(position) for _ in position)
+
+
+# How far a critical speed stays from the running speeds, after API 617 (as public code cites its
+# 7th to 9th edition).
+#
+# A critical speed with the amplification factor AF >= 2.5 needs the separation margin
+#
+#     SM = min(16 %, 17 % (1 - 1/(AF - 1.5)))            of the lowest running speed, below it,
+#     SM = min(26 %, 10 % + 17 % (1 - 1/(AF - 1.5)))     of the highest, above it,
+#
+# and none of them may lie between the two. Read the other way round, each place allows an
+# amplification factor.
+
+
+LEAST_AMPLIFICATION = 2.5  # below it a peak is critically damped: no critical speed
+_OFFSET, _SPAN = 1.5, 0.17  # of SM = 17 % (1 - 1/(AF - 1.5))
+# margin from which more than 2.5 is allowed, and from which anything is
+_BELOW, _ABOVE = (0.0, 0.16), (0.10, 0.26)
+
+
+def running_range(
+    stated: tuple[float, float] | None, speeds: Iterable[float]
+) -> tuple[float, float] | None:
+    """Between which speeds [rad/s] a machine runs: as stated, else from the slowest to the fastest
+    of its turning operating points' ``speeds``; None: none turns.
+    """
+    turning = [speed for speed in speeds if speed > 0]
+    return stated or ((min(turning), max(turning)) if turning else None)
+
+
+def runs_within(speed: float, running: tuple[float, float]) -> bool:
+    """Whether an operating point's speed lies within the running speeds, all [rad/s]."""
+    return running[0] * (1 - 1e-9) <= speed <= running[1] * (1 + 1e-9)
+
+
+def allowed_amplification(
+    omega: np.ndarray, running: tuple[float, float], capped: bool = True
+) -> np.ndarray:
+    """The largest amplification factor allowed of a critical speed at omega (n,) [rad/s]; inf far
+    from ``running`` [rad/s].
+
+    capped: with the standard's jump to "anything" at 16 and 26 %; without, where the formula's own
+    pole lies, at 17 and 27 %.
+    """
+    omega = np.asarray(omega, float)
+    low, high = running
+    below = omega < low
+    margin = np.where(below, (low - omega) / low, np.maximum(omega - high, 0.0) / high)
+    free, cap = (np.where(below, _BELOW[k], _ABOVE[k]) for k in (0, 1))
+    share = np.clip((margin - free) / _SPAN, 0.0, 1.0)
+    with np.errstate(divide="ignore"):
+        allowed = _OFFSET + 1 / (1 - share)
+    return np.where(capped & (margin >= cap), np.inf, allowed)
+
+
+def needed_damping(
+    omega: np.ndarray, running: tuple[float, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The damping ratio 1/(2 AF) that the place omega [rad/s] of every mode asks for, and its
+    derivative [s/rad].
+
+    Continuous over omega: 0.2 between the running speeds, 0 beyond 17 and 27 % of them.
+    """
+    low, high = running
+    below = omega < low
+    margin = np.where(below, (low - omega) / low, np.maximum(omega - high, 0.0) / high)
+    slope = np.where(below, -1 / low, np.where(omega > high, 1 / high, 0.0))
+    free = np.where(below, _BELOW[0], _ABOVE[0])
+    # 1 where 2.5 is allowed, 0 where anything is
+    left = np.clip(1 - (margin - free) / _SPAN, 0.0, 1.0)
+    within = (left > 0) & (left < 1)
+    size = _OFFSET * left + 1
+    return left / (2 * size), np.where(within, -slope / _SPAN / (2 * size**2), 0.0)

@@ -3,19 +3,231 @@
 SI in every file written; any unit of the right kind is understood when reading. Files are written
 under a temporary name and renamed, so that a reader never meets half a file. A reader refuses what
 it does not know and never alters its source. The formats: record/hdf5_file.py and
-record/csv_file.py. Long runs: record/writer.py. Files of other programs: record/foreign.py.
+record/files.py. Long runs: record/stream.py. Files of other programs: record/foreign.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
+
+import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_path, invalid
-from ambrose.machine.atomic_write import draft_of
-from ambrose.machine.ordinary_file import check_source
-from ambrose.record.record import Record
+from ambrose.machine.ordinary_file import (
+    CHECKED_FIRST,
+    NAME,
+    NOTES,
+    NUMBERS,
+    SIGNALS,
+    check_source,
+    draft_of,
+)
+from ambrose.machine.units import quoted
+from ambrose.record.hdf5_file import RecordAttributes, read_attributes, record_of
+from ambrose.record.record import Record, si_values, uniform_rate
+from ambrose.record.text_uff import number_block
+
+# Records as CSV: "# key: value" lines, a header of names with units, the time in the first column.
+
+
+_HEAD_LINE = 3 * NAME * SIGNALS  # characters
+_CELL, _BLANK = 100, 1000  # characters of a cell at most, on average; blank lines
+_BLOCK, _READ = 200_000, 1 << 20  # numbers, and bytes, read together
+_HEADER = re.compile(r"\s*([^\[\]]*?)\s*(?:\[([^\[\]]*)\]\s*)?")
+
+
+def write_csv(record: Record, path: Path) -> None:
+    """Numbers with seventeen digits, so that reading gives back the same; the number of samples
+    shows a truncated file.
+    """
+    attributes = {**record.attributes, "samples": record.values.shape[1]}
+    header = [
+        "time [s]",
+        *(f"{name} [{unit}]" for name, unit in zip(record.signals, record.units, strict=True)),
+    ]
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        file.writelines(f"# {key}: {value}\n" for key, value in attributes.items())
+        file.write(",".join(header) + "\n")
+        np.savetxt(
+            file, np.column_stack([record.time, record.values.T]), fmt="%.17g", delimiter=","
+        )
+
+
+def read_csv(path: Path) -> Record:
+    """The record; a spreadsheet's byte order mark and line ends are understood. Raises
+    InvalidInput.
+    """
+    with path.open(encoding="utf-8-sig") as file:
+        try:
+            lines: dict[str, str] = {}
+            head = _lines(file, _HEAD_LINE)
+            for count, line in enumerate(head):
+                if not line.startswith("#"):
+                    break
+                if count > 2 * NOTES:
+                    raise invalid(
+                        "the number of lines that begin with #",
+                        "larger",
+                        f"at most {2 * NOTES}",
+                        "leave some out",
+                    )
+                key, colon, value = line[1:].partition(":")
+                if colon:
+                    lines[key.strip()] = value.strip()
+            else:
+                line = ""
+            attributes = read_attributes(lines)
+            columns = _csv_columns(line)
+            # refuses names and units first
+            record_of(attributes, columns[1:], np.zeros((len(columns) - 1, 1)), 1.0, 0.0)
+            time, values = _rows(file, file.tell(), columns)
+        except InvalidInput:
+            raise
+        except UnicodeDecodeError as error:
+            raise InvalidInput(
+                "it is no CSV file of this package (it is not in UTF-8); give the column map of a "
+                "foreign log (--columns)"
+            ) from error
+        except ValueError as error:
+            raise InvalidInput(
+                f"the rows below the header cannot be read ({error}); give a number in every cell"
+            ) from error
+    _check_complete(path, attributes, len(time))
+    time = si_values("time", columns[0][1], time)[0]
+    rate = uniform_rate(time, attributes.sample_rate_hz)
+    return record_of(attributes, columns[1:], values, rate, float(time[0]))
+
+
+def _lines(file: TextIO, longest: int) -> Iterator[str]:
+    """The lines that are not blank. Raises InvalidInput for a longer one, without reading all of
+    it.
+    """
+    blank = 0
+    while line := file.readline(longest + 1):
+        if len(line) > longest:
+            raise invalid(
+                "the length of a line",
+                "larger",
+                f"at most {longest} characters",
+                "is this a record?",
+            )
+        if not line.isspace():
+            yield line
+        elif (blank := blank + 1) > _BLANK:
+            raise invalid("the number of blank lines", "larger", f"at most {_BLANK}", "remove them")
+
+
+def _rows(
+    file: TextIO, start: int, columns: Sequence[tuple[str, str]]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times (k,) and values (p, k) of the rows behind ``start``, block by block: they take the
+    memory of the numbers once.
+    """
+    width = len(columns)
+
+    def lines() -> Iterator[str]:
+        file.seek(start)
+        return _lines(file, _CELL * width)
+
+    with open(file.name, "rb") as raw:
+        ends = (
+            (part.count(b"\n"), part.count(b"\r")) for part in iter(lambda: raw.read(_READ), b"")
+        )
+        rows = 1 + sum(max(pair) for pair in ends)  # at least so many
+    if rows * width > NUMBERS:
+        raise invalid(
+            "the number of values", rows * width, f"at most {NUMBERS}", "split the record"
+        )
+    if rows * width > CHECKED_FIRST:
+        rows = sum(len(table) for _, table in _blocks(lines(), columns))
+    time = np.empty(rows)
+    values = np.empty((width - 1, rows))
+    filled = 0
+    for first, table in _blocks(lines(), columns):
+        filled = first + len(table)
+        time[first:filled], values[:, first:filled] = table[:, 0], table[:, 1:].T
+    if filled == 0:
+        raise ValueError("there is none")
+    return time[:filled], values if filled == rows else values[:, :filled].copy()
+
+
+def _blocks(
+    lines: Iterator[str], columns: Sequence[tuple[str, str]]
+) -> Iterator[tuple[int, np.ndarray]]:
+    """Number of the first row and numbers (n, columns) of one block after the other, all of them
+    finite.
+    """
+    first = 0
+    while block := list(islice(lines, max(1, _BLOCK // len(columns)))):
+        where = range(first + 1, first + len(block) + 1)
+        table = number_block(block, ",", len(columns), where, empty=False, what="data row")
+        if not np.isfinite(table).all():
+            i, j = (int(index) for index in np.argwhere(~np.isfinite(table))[0])
+            if j == 0:
+                raise invalid(
+                    "a time", "not finite", "a number", f"look at data row {first + i + 1}"
+                )
+            at = f"{columns[j][0]} at sample {first + i} (t = {table[i, 0]:g} s)"
+            raise invalid(at, table[i, j], "finite", "cut the record before it, or measure again")
+        yield first, table
+        first += len(table)
+
+
+def _csv_columns(line: str) -> list[tuple[str, str]]:
+    if ";" in line or "\t" in line:
+        raise invalid(
+            "the separator of the columns",
+            "a semicolon or tab",
+            "a comma",
+            "export with comma and decimal point",
+        )
+    columns = []
+    if line.count(",") > SIGNALS:
+        raise invalid(
+            "the number of signals", line.count(","), f"at most {SIGNALS}", "split the record"
+        )
+    for cell in line.rstrip("\r\n").split(","):
+        match = _HEADER.fullmatch(cell.strip()) if len(cell) < 3 * NAME else None
+        if match is None or not match[1] or match[2] is None:
+            raise invalid(
+                "the header cell",
+                quoted(cell.strip()),
+                "a name with its unit, such as y_A_zeta [m]",
+                "add the unit",
+            )
+        columns.append((match[1], match[2]))
+    if columns[0][0] != "time" or len(columns) < 2:
+        raise invalid(
+            "the first column",
+            quoted(columns[0][0]),
+            "time [s], followed by signals",
+            "put the time first",
+        )
+    return columns
+
+
+def _check_complete(path: Path, attributes: RecordAttributes, rows: int) -> None:
+    """Refuse a file that states its number of samples and does not hold them all, to the end of the
+    last line.
+    """
+    if attributes.samples is None:
+        return
+    with path.open("rb") as file:
+        file.seek(-1, os.SEEK_END)
+        ended = file.read(1) == b"\n"
+    if rows != attributes.samples or not ended:
+        raise invalid(
+            "the number of whole rows",
+            rows - (not ended),
+            f"{attributes.samples:.0f}",
+            "the file is truncated: copy it again",
+        )
+
 
 _SUFFIXES = (".h5", ".hdf5", ".csv")
 _FOREIGN = {".mat", ".tdms", ".txt", ".dat", ".asc", ".uff", ".unv"}
@@ -28,7 +240,6 @@ def read_record(path: str | Path) -> Record:
     Raises InvalidInput with the file's name and what is wrong.
     """
     from ambrose.record.apart import try_record
-    from ambrose.record.csv_file import read_csv
     from ambrose.record.hdf5_file import read_hdf5
     from ambrose.record.stream import SUFFIX, read_stream
 
@@ -46,7 +257,6 @@ def write_record(record: Record, path: str | Path) -> Path:
     """Write the record as HDF5 (.h5, .hdf5) or CSV (.csv), atomically; returns the path. Raises
     InvalidInput.
     """
-    from ambrose.record.csv_file import write_csv
     from ambrose.record.hdf5_file import write_hdf5
 
     path = check_path(path, "record")

@@ -3,7 +3,7 @@
 
 A table's separator, decimal mark and header lines are found by looking at its rows: from the first
 data row on every row has the same number of cells, and all of them are numbers or empty. What
-cannot be told apart is refused, never guessed (machine/file/text_table.py).
+cannot be told apart is refused, never guessed (machine/file/stations.py).
 """
 
 from __future__ import annotations
@@ -17,16 +17,15 @@ from pathlib import Path
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.file.text_table import (
+from ambrose.machine.file.stations import (
     Cell,
     decimal_mark,
     heading,
     refuse_counts,
     refuse_two_marks,
 )
-from ambrose.machine.limits import FOREIGN_NUMBERS, NAME, SIGNALS
-from ambrose.machine.messages import quoted, suggestion
-from ambrose.machine.units import DIMENSIONS, in_si
+from ambrose.machine.ordinary_file import FOREIGN_NUMBERS, NAME, SIGNALS
+from ambrose.machine.units import DIMENSIONS, in_si, quoted, suggestion
 
 _LINE = 3 * NAME * SIGNALS  # characters
 _HEAD = 1000  # lines before the first row of numbers

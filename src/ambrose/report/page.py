@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import Any
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.atomic_write import write_text
 from ambrose.machine.machine import Machine
+from ambrose.machine.ordinary_file import write_text
 from ambrose.registry import registered, resolve
 from ambrose.version import __version__
 
@@ -246,13 +246,13 @@ class Page:
 # What makes the page of a result, by the name of its type; annexes register theirs as "page".
 _MAKERS = {
     "Verification": "ambrose.report.verification:page_of_verification",
-    "LoopIdentification": "ambrose.report.identification.page:identification_page",
-    "StaticIdentification": "ambrose.report.identification.static_load:static_page",
-    "GenericIdentification": "ambrose.report.identification.one_axis:generic_page",
-    "SealByFrequency": "ambrose.report.identification.seal:seal_page",
+    "LoopIdentification": "ambrose.report.identification:identification_page",
+    "StaticIdentification": "ambrose.report.identification:static_page",
+    "GenericIdentification": "ambrose.report.identification:generic_page",
+    "SealByFrequency": "ambrose.report.identification:seal_page",
     "Record": "ambrose.report.record:record_page",
     "Trace": "ambrose.report.record:record_page",
-    "Exploration": "ambrose.report.exploration:exploration_page",
+    "Exploration": "ambrose.report.verification:exploration_page",
 }
 
 

@@ -21,40 +21,39 @@ from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.mu.bounds import MuBounds, MuPeak
 from ambrose.core.scheduled import AND, ScheduledSystem
 from ambrose.core.statespace import StateSpace, as_statespace, poles, select
-from ambrose.identification.frf.spectral import Frf
-from ambrose.identification.one_axis.result import GenericIdentification
+from ambrose.identification.frf_spectral import Frf
+from ambrose.identification.one_axis.identify import GenericIdentification
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.result import Identification
-from ambrose.identification.seal.result import SealFit, averaged
-from ambrose.identification.static_load.identify import StaticLoad
-from ambrose.identification.youla.identify import ResidualIdentification
-from ambrose.judge.checks import Checks, Curve
+from ambrose.identification.seal.by_pressure import SealFit, averaged
+from ambrose.identification.static_load import StaticLoad
+from ambrose.identification.youla import ResidualIdentification
+from ambrose.judge.checks import Checks, Curve, Verification
 from ambrose.judge.plants import plant_gain
 from ambrose.judge.result import Synthesis
-from ambrose.judge.verification import Verification
 from ambrose.machine.machine import Machine
 from ambrose.model.plant import Plant
 from ambrose.record.record import Record
-from ambrose.report import theme, units
-from ambrose.report.comparison.envelope import decision
-from ambrose.report.comparison.figures import loop_figures
-from ambrose.report.figures.axes import BEYOND
-from ambrose.report.figures.bode import Line, bode_figure, entries, grid_of, unit_of
-from ambrose.report.figures.curves import figure
-from ambrose.report.figures.filter_chains import filter_figure
-from ambrose.report.figures.measured import residual_figure
-from ambrose.report.figures.poles import pole_zero_map
+from ambrose.report import theme
+from ambrose.report import theme as units
+from ambrose.report.comparison import loop_figures, run_up_figure
+from ambrose.report.comparison_tables import decision
+from ambrose.report.figures.bode import (
+    Line,
+    bode_figure,
+    entries,
+    filter_figure,
+    grid_of,
+    residual_figure,
+    unit_of,
+)
+from ambrose.report.figures.curves import BEYOND, figure, pole_zero_map
 from ambrose.report.figures.rotor_drawing import machine_drawing
 from ambrose.report.figures.seals import frequency_figure, response_figure
-from ambrose.report.identification.figures import change_figure
-from ambrose.report.identification.one_axis import prediction_figure
-from ambrose.report.identification.page import seal_figure
-from ambrose.report.identification.static_load import line_figure
+from ambrose.report.identification import change_figure, line_figure, prediction_figure, seal_figure
 from ambrose.report.record import record_figure
-from ambrose.report.study import run_up_figure
-from ambrose.rig.candidate import Candidate, points_of
 from ambrose.rig.trace import Trace
-from ambrose.rig.trial import RunUp
+from ambrose.rig.trial import Candidate, RunUp, points_of
 from ambrose.synthesis.trade_off import TradeOff
 
 _DRAWN = (

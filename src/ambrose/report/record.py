@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 
 from ambrose.judge.checks import Curve
-from ambrose.machine.axial import AxialMachine
-from ambrose.machine.machine import Machine
+from ambrose.machine.machine import AxialMachine, Machine
 from ambrose.record.record import Record
-from ambrose.report import tables, theme, units
-from ambrose.report.figures.axes import drawn
-from ambrose.report.figures.curves import figure
+from ambrose.report import tables, theme
+from ambrose.report import theme as units
+from ambrose.report.figures.curves import drawn, figure
 from ambrose.report.figures.motion import (
     Station,
     largest,
@@ -31,7 +30,7 @@ from ambrose.report.figures.motion import (
     window,
 )
 from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict, numbers
-from ambrose.rig.engine.outcome import LEVITATED_WITHIN, Lift
+from ambrose.rig.engine.record import LEVITATED_WITHIN, Lift
 from ambrose.rig.scenario import Scenario
 from ambrose.rig.trace import Trace
 

@@ -7,16 +7,15 @@ from collections.abc import Sequence
 from typing import Any
 
 from ambrose.identification.findings import ERROR, Finding
-from ambrose.judge.checks import Check, Checks
-from ambrose.judge.verification import OVER_TOLERANCES
+from ambrose.judge.checks import OVER_TOLERANCES, Check, Checks
 from ambrose.machine.attachment import attached
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import chosen
 from ambrose.machine.part import Part
-from ambrose.machine.validation.signs import unit_and_names
-from ambrose.report import units
+from ambrose.machine.validation.parts import unit_and_names
+from ambrose.report import theme as units
 from ambrose.report.page import Cell, Row, Section, Table, Verdict, numbers
 
 _WIDEST = 6  # operating points side by side in one table

@@ -18,19 +18,15 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid, same_clock
 from ambrose.core.statespace import StateSpace, append
-from ambrose.law.law import LawLike, law_of
-from ambrose.law.program import AllAxesProgram
-from ambrose.law.timing import DEFAULT, Timing, timing_of
-from ambrose.machine.axial import AxialMachine
+from ambrose.law.law import AllAxesProgram, LawLike, law_of
+from ambrose.law.loop import DEFAULT, Timing, timing_of
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.machine import Machine
+from ambrose.machine.machine import AxialMachine, Machine
 from ambrose.rig import axial_rig, virtual_rig
 from ambrose.rig.engine.controller import RunningProgram, SampledLaw, sample_time, sampled_law
-from ambrose.rig.engine.equilibrium import fastest_pole, steps_per_sample
+from ambrose.rig.engine.equilibrium import fastest_pole, steps_per_sample, steps_within
 from ambrose.rig.engine.inputs import Drive, Plan, plan, stretch
-from ambrose.rig.engine.outcome import classify_outcome, watch, within_bounds
-from ambrose.rig.engine.propagator import steps_within
-from ambrose.rig.engine.record import Recorder
+from ambrose.rig.engine.record import Recorder, classify_outcome, watch, within_bounds
 from ambrose.rig.engine.state import build
 from ambrose.rig.scenario import LEVITATED, Scenario
 from ambrose.rig.trace import Trace

@@ -20,14 +20,13 @@ import numpy as np
 from scipy.optimize import brentq
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
-from ambrose.judge.stability import judge_stability
+from ambrose.judge.plants import judge_stability
 from ambrose.law.law import LawLike, law_of
-from ambrose.law.timing import DEFAULT, Timing, machine_timing
-from ambrose.machine.axial import AxialMachine
+from ambrose.law.loop import DEFAULT, Timing, machine_timing
 from ambrose.machine.description import OperatingPoint
+from ambrose.machine.machine import AxialMachine
 from ambrose.model.assemble import assemble
-from ambrose.model.axial.magnet import at_point, core_lags, force, sides
-from ambrose.model.axial.wiring import rotor_mass
+from ambrose.model.axial import at_point, core_lags, force, rotor_mass, sides
 from ambrose.model.effects import amplifier, sensor
 from ambrose.rig.engine.controller import (
     NO_PROGRAM,
@@ -37,11 +36,10 @@ from ambrose.rig.engine.controller import (
     sampled_law,
 )
 from ambrose.rig.engine.inputs import Plan, plan
-from ambrose.rig.engine.outcome import Lift, within_bounds
-from ambrose.rig.engine.record import Recorder
+from ambrose.rig.engine.record import Lift, Recorder, within_bounds
+from ambrose.rig.linear import waveforms, without_power
 from ambrose.rig.scenario import LEVITATED, Scenario
 from ambrose.rig.trace import Trace
-from ambrose.rig.waveforms import waveforms, without_power
 
 _STRETCH = 4000  # control samples computed at once
 _STEP = 1.25e-5  # [s], the longest; the flux of a core is settled to first order in it
@@ -404,7 +402,9 @@ def rightmost_pole(
 @cache
 def _kernel() -> Any:
     """``advance`` of axial_kernel.py, compiled on first use and kept."""
-    from ambrose.rig.engine import axial_kernel, inlined, sampled
+    from ambrose.rig.engine import axial_kernel
+    from ambrose.rig.engine import controller as sampled
+    from ambrose.rig.engine import products as inlined
 
     digest = hashlib.sha256()
     for module in (axial_kernel, inlined, sampled, amplifier, sensor):
@@ -445,7 +445,7 @@ class Watch:
             self.contact += len(after) * sample
 
     def outcome(self, overflow: float | None, pole: complex | None) -> tuple[str, str]:
-        """As ``rig.engine.outcome.classify_outcome``."""
+        """As ``rig.engine.record.classify_outcome``."""
         side = "" if pole is None else f"; linear loop: largest real part {pole.real:.4g} rad/s"
         if overflow is not None:
             return "diverged", f"diverged: the motion left all bounds at t = {overflow:.6g} s{side}"

@@ -1,7 +1,7 @@
 """Scenario: what is done to a closed loop during a simulation; its TOML files, and the bundled
 ones.
 
-Its parts are in disturbances.py. Disturbances act on the loop's input signals by name: current
+Its parts are in scenario.py. Disturbances act on the loop's input signals by name: current
 excitation e_<axis> [A], output disturbance d_<axis> [m], reference r_<axis> [m], force
 f_<port>_<direction> [N]; unbalance acts at a port, in both directions.
 """
@@ -9,8 +9,9 @@ f_<port>_<direction> [N]; unbalance acts at a port, in both directions.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
@@ -18,38 +19,368 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.arguments import names_wrong_types
-from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.core.checks import (
+    InvalidInput,
+    check_finite,
+    check_positive,
+    invalid,
+    names_wrong_types,
+)
 from ambrose.core.presentation import Presented
-from ambrose.machine.axial import AxialMachine
+from ambrose.machine.description import BEARING_TERMS
 from ambrose.machine.file.toml import read_toml
-from ambrose.machine.machine import Machine
-from ambrose.machine.messages import suggestion
-from ambrose.machine.units import DIMENSIONS, read_quantity
+from ambrose.machine.machine import AXIS, AxialMachine, Machine
+from ambrose.machine.units import DIMENSIONS, Dimension, read_quantity, suggestion
+from ambrose.model.plant import top_speed
 from ambrose.record.record import signal_dimension
-from ambrose.rig.disturbances import (
-    Chirp,
-    Disturbance,
-    Failure,
-    Prbs,
-    PressureChange,
-    PressureSensor,
-    Pulse,
-    Sine,
-    SpeedChange,
-    SteppedSine,
-    Unbalance,
-    check_disturbance,
-)
-from ambrose.rig.machine_terms import (
-    along_shaft,
-    at_bearings,
-    names_thrust,
-    on_thrust,
-    read_share,
-    relative_values,
-    with_quantities,
-)
+
+# What a scenario is made of: one small class per table of its file, all quantities in SI and rad/s.
+#
+# A ``signal`` is an input of the loop: current excitation e_<axis> [A], output disturbance d_<axis>
+# [m], reference r_<axis> [m], force f_<port>_<direction> [N].
+
+
+SPACINGS = ("linear", "logarithmic")
+SENSOR_FAULTS = ("", "stuck", "lost")
+_ORDERS = (2, 20)  # bits of a shift register
+
+
+@dataclass(frozen=True, slots=True)
+class Pulse:
+    """A rectangular disturbance: ``amplitude`` (SI unit of ``signal``) from ``start`` [s] for
+    ``duration`` [s].
+
+    Without a duration it is a step that lasts to the end. ``every`` [s] repeats it.
+    """
+
+    signal: str
+    amplitude: float
+    start: float = 0.0
+    duration: float | None = None
+    every: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Sine:
+    """amplitude sin(frequency (t - start) + phase) from ``start`` [s] for ``duration`` [s] (None:
+    to the end); [rad/s].
+    """
+
+    signal: str
+    amplitude: float
+    frequency: float
+    phase: float = 0.0
+    start: float = 0.0
+    duration: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SteppedSine:
+    """A sine of one frequency [rad/s] after the other, each for ``dwell`` [s] and beginning at
+    angle zero.
+    """
+
+    signal: str
+    amplitude: float
+    frequencies: tuple[float, ...]
+    dwell: float
+    start: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_positive(self.dwell, f"the dwell on {self.signal}", "give it in seconds")
+        if not self.frequencies:
+            raise InvalidInput(
+                f"the stepped sine on {self.signal} has no frequencies; list at least one"
+            )
+
+    @property
+    def sines(self) -> tuple[Sine, ...]:
+        """The same as single sines."""
+        return tuple(
+            Sine(
+                self.signal, self.amplitude, frequency, 0.0, self.start + i * self.dwell, self.dwell
+            )
+            for i, frequency in enumerate(self.frequencies)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Chirp:
+    """A sine whose frequency goes from ``frequency`` to ``to_frequency`` [rad/s] within
+    ``duration`` [s] (None: to the end).
+
+    spacing "linear" passes equal frequency ranges in equal times, "logarithmic" equal ratios.
+    """
+
+    signal: str
+    amplitude: float
+    frequency: float
+    to_frequency: float
+    start: float = 0.0
+    duration: float | None = None
+    spacing: str = "linear"
+
+    def __post_init__(self) -> None:
+        for frequency in (self.frequency, self.to_frequency):
+            check_positive(
+                frequency, f"a frequency of the chirp on {self.signal}", "give it in rad/s"
+            )
+        if self.spacing not in SPACINGS:
+            raise invalid(
+                f"the spacing of the chirp on {self.signal}",
+                repr(self.spacing),
+                " or ".join(SPACINGS),
+                "correct it",
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Prbs:
+    """A pseudo-random binary sequence of +-amplitude: a maximum-length sequence of 2^order - 1
+    bits, each ``bit_time`` [s].
+
+    It repeats to the end of ``duration`` [s] (None: of the scenario). Sequences with different
+    ``seed`` are the same shifted far apart, and so nearly uncorrelated.
+    """
+
+    signal: str
+    amplitude: float
+    bit_time: float
+    order: int = 10
+    seed: int = 0
+    start: float = 0.0
+    duration: float | None = None
+
+    def __post_init__(self) -> None:
+        check_positive(self.bit_time, f"the bit_time on {self.signal}", "give it in seconds")
+        if not _ORDERS[0] <= self.order <= _ORDERS[1]:
+            requirement = f"from {_ORDERS[0]} to {_ORDERS[1]}"
+            raise invalid(
+                f"the order of the sequence on {self.signal}",
+                self.order,
+                requirement,
+                "10 repeats after 1023 bits",
+            )
+
+    @property
+    def shift(self) -> int:
+        """Bits by which the sequence is shifted: multiples of the golden section of its length."""
+        length = 2**self.order - 1
+        return round(self.seed * 0.6180339887498949 * length) % length
+
+
+@dataclass(frozen=True, slots=True)
+class Unbalance:
+    """A mass off centre at ``port`` ("A", "center", ...), turning with the rotor; ``phase`` [rad]
+    from the first direction.
+
+    Either ``amount`` [kg m], or ``grade`` [m/s] at ``grade_speed`` [rad/s] (ISO 21940-11, G2.5:
+    2.5e-3 m/s), of which this port carries the fraction ``share``: amount = share grade mass /
+    grade_speed with the rotor's mass.
+    """
+
+    port: str
+    amount: float | None = None
+    grade: float | None = None
+    grade_speed: float | None = None
+    share: float = 1.0
+    phase: float = 0.0
+
+    def __post_init__(self) -> None:
+        graded = self.grade is not None and self.grade_speed is not None
+        if graded == (self.amount is not None) or (self.grade is None) != (
+            self.grade_speed is None
+        ):
+            raise InvalidInput(
+                f"the unbalance at {self.port} needs either amount, or grade and grade_speed; "
+                "give one of the two"
+            )
+
+    def mass_times_radius(self, mass: float | None) -> float:
+        """The amount [kg m]; ``mass`` of the rotor [kg] is needed for a grade. Raises
+        InvalidInput.
+        """
+        if self.amount is not None:
+            return self.amount
+        if self.grade is None or self.grade_speed is None or mass is None:
+            raise InvalidInput(
+                f"the unbalance at {self.port} is a grade, which needs the rotor's mass; pass "
+                "mass=... in kg"
+            )
+        return (
+            self.share
+            * self.grade
+            * check_positive(mass, "mass", "give it in kg")
+            / self.grade_speed
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class PressureChange:
+    """The differential pressure of every seal goes to ``pressure`` [Pa] at ``time`` [s], linearly
+    within ``ramp`` [s].
+    """
+
+    time: float
+    pressure: float
+    ramp: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("time", "pressure", "ramp"):
+            check_positive(
+                getattr(self, name),
+                f"{name} of the change of pressure",
+                "correct it",
+                zero_allowed=True,
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class PressureSensor:
+    """From ``time`` [s] on the sensor of the seal pressure tells gain p + offset [Pa] through a
+    first-order lag [s], with white noise of so many Pa (rms) at every sample; "stuck" it keeps what
+    it told last, "lost" it tells nothing.
+    """
+
+    time: float = 0.0
+    gain: float = 1.0
+    offset: float = 0.0
+    lag: float = 0.0
+    noise: float = 0.0
+    fault: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("time", "lag", "noise"):
+            check_positive(
+                getattr(self, name),
+                f"{name} of the pressure sensor",
+                "correct it",
+                zero_allowed=True,
+            )
+        for name in ("gain", "offset"):
+            check_finite(getattr(self, name), f"{name} of the pressure sensor")
+        if self.fault not in SENSOR_FAULTS:
+            raise invalid(
+                "fault of the pressure sensor",
+                repr(self.fault),
+                '"stuck", "lost" or left out',
+                "correct it",
+            )
+
+
+_EXACT = PressureSensor()
+
+
+def sensed(
+    time: np.ndarray,
+    sensors: Sequence[PressureSensor],
+    knots: Sequence[float],
+    values: Sequence[float],
+) -> np.ndarray:
+    """What the sensors, one from its time on and each to the next one's, tell (n,) [Pa] at times
+    (n,) [s] without their noise.
+
+    knots, values: times [s] and pressures [Pa], linear between. Stuck or lost: the last one. Exact:
+    g + s t - s T + (l - g + s T) exp(-t/T) within a segment from g with slope s, for a lag T that
+    tells l at its start.
+    """
+    edges = np.unique([0.0, *knots, *(item.time for item in sensors)])
+    at = np.searchsorted(edges, time, side="right") - 1
+    result, last = np.empty(len(time)), float(np.interp(0.0, knots, values))
+    for i, start in enumerate(edges.tolist()):
+        item = next((sensor for sensor in reversed(sensors) if sensor.time <= start), _EXACT)
+        # constant after the last knot
+        end = float(edges[i + 1]) if i + 1 < len(edges) else start + 1.0
+        # gain p + offset at both ends: g and s
+        begin, then = (
+            item.gain * float(np.interp(t, knots, values)) + item.offset for t in (start, end)
+        )
+        # a fault holds what was told last; without a lag the sensor tells g at once
+        slope = 0.0 if item.fault else (then - begin) / (end - start)
+        begin, behind = last if item.fault else begin, slope * item.lag
+        last = begin if item.lag == 0 else last
+        # g + s t - s T + (l - g + s T) e^(-t/T); the last entry is the next segment's l
+        since = np.append(time[at == i], end) - start
+        left = np.exp(-since / item.lag) if item.lag > 0 else np.zeros(len(since))
+        reading = begin + slope * since - behind + (last - begin + behind) * left
+        result[at == i], last = reading[:-1], float(reading[-1])
+    return result
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedChange:
+    """The rotor's speed goes to ``speed`` [rad/s] from ``time`` [s] on, linearly within ``ramp``
+    [s].
+    """
+
+    time: float
+    speed: float
+    ramp: float
+
+    def __post_init__(self) -> None:
+        check_positive(self.time, "time of the change of speed", "correct it", zero_allowed=True)
+        check_positive(
+            self.ramp,
+            "ramp of the change of speed",
+            "give it in seconds; no rotor changes its speed at once",
+        )
+        check_positive(
+            self.speed, "the speed of a change of speed", "a rotor turns one way", zero_allowed=True
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """From ``time`` [s] on the amplifier of ``axis`` ("A_zeta") has no power; without an axis, none
+    has. ``until`` [s] it returns (without one it does not); the controller has run on.
+    """
+
+    time: float
+    axis: str | None = None
+    until: float | None = None
+
+    def __post_init__(self) -> None:
+        check_positive(
+            self.time, "the time of the failure", "give it in seconds", zero_allowed=True
+        )
+        if self.until is not None and not self.time < self.until < math.inf:
+            raise invalid(
+                "until of a failure",
+                self.until,
+                f"after its time, {self.time:g} s",
+                "correct it, or leave it out if the power stays away",
+            )
+
+
+Disturbance = Pulse | Sine | Chirp | Prbs
+
+
+def check_disturbance(item: Disturbance, end: float) -> None:
+    """Refuse what cannot act in a scenario that lasts until ``end`` [s]. Raises InvalidInput."""
+    if not math.isfinite(item.amplitude):
+        raise invalid(f"the amplitude on {item.signal}", item.amplitude, "finite", "correct it")
+    if not 0 <= item.start < end:
+        raise invalid(
+            f"the start on {item.signal}", item.start, f"within 0 to {end:g} s", "move it"
+        )
+    if item.duration is not None:
+        check_positive(item.duration, f"the duration on {item.signal}", "give it in seconds")
+    if (
+        isinstance(item, Pulse)
+        and item.every is not None
+        and (item.duration is None or not item.duration <= item.every)
+    ):
+        raise invalid(
+            f"every of the pulse on {item.signal}",
+            item.every,
+            "at least its duration",
+            "lengthen it",
+        )
+    if isinstance(item, Sine):
+        check_positive(
+            item.frequency, f"the frequency of the sine on {item.signal}", "give it in rad/s"
+        )
+
 
 LEVITATED = "levitated"
 INITIAL_STATES = (LEVITATED, "resting")
@@ -65,7 +396,7 @@ class Scenario(Presented):
     equilibrium or "resting" in the touchdown bearings; changes of pressure while the speed changes,
     too, and of what its sensor tells a controller that is scheduled over it; failures; switch_at
     [s], where a second controller takes over. Bearings may be called "first", "last" and "every",
-    and quantities be shares of the machine's (machine_terms.py), until a simulation calls
+    and quantities be shares of the machine's (scenario.py), until a simulation calls
     ``on(machine)``. Raises InvalidInput.
     """
 
@@ -503,3 +834,202 @@ def _amount(value: Any) -> float:
     if isinstance(value, bool) or not math.isfinite(amount):
         raise invalid("amount", repr(value), "finite", "correct it")
     return factor * amount
+
+
+# A scenario in terms of the machine: its "first", "last" and "every" bearing, and shares of its top
+# speed or pressure.
+#
+# A scenario file may say ``signal = "e_first_zeta"``, ``port = "every"`` or ``to_speed = "80 % of
+# top speed"``; what that is, the machine says. Of "every" bearing a grade of unbalance is parted
+# among them, and each has a binary sequence of its own.
+
+
+_SEEDS = 2  # axes of a bearing: two sequences at one bearing have neighbouring seeds
+_THRUST = f"thrust{AXIS}"  # the axis along the shaft, whatever its bearing's name
+_PHRASE = re.compile(r"(.+?)\s+of\s+(?:the\s+)?([a-z]+ [a-z]+)")
+
+
+class Share(float):
+    """A share of a quantity of the machine, until a machine is known; ``of`` is its name."""
+
+    of: str
+
+    def __new__(cls, share: float, of: str) -> Share:
+        value = super().__new__(cls, share)
+        value.of = of
+        return value
+
+    def __repr__(self) -> str:
+        return f"{100 * self:g} % of {self.of}"
+
+
+def _top_pressure(machine: Machine) -> float | None:
+    return max(point.seal_pressure for point in machine.operation.envelope)
+
+
+def _least(name: str) -> Callable[[Machine], float | None]:
+    """Of the bearings; of an axial one's pair the lesser."""
+    return lambda machine: min(
+        (
+            min(v) if isinstance(v, tuple) else v
+            for b in machine.axis_bearings
+            if (v := getattr(b, name)) is not None
+        ),
+        default=None,
+    )
+
+
+def _thrusts(machine: Machine) -> list[float]:
+    """The process thrust [N] at every operating point of the axis along the shaft."""
+    return (
+        [item.load for item in machine.conditions] if isinstance(machine, AxialMachine) else [0.0]
+    )
+
+
+_QUANTITIES: dict[str, tuple[str, Callable[[Machine], float | None], str]] = {
+    "top speed": ("angular rate", top_speed, "[operation] speed_range"),
+    "balance speed": (
+        "angular rate",
+        lambda m: m.requirements.balance_speed or top_speed(m) or None,
+        "[operation] speed_range",
+    ),
+    "top pressure": ("pressure", _top_pressure, "an [[operation.point]] with seal_pressure"),
+    "max current": ("current", _least("max_current"), "max_current of a [[bearing]]"),
+    "largest thrust": (
+        "force",
+        lambda machine: max(_thrusts(machine), key=abs) or None,
+        "a [[thrust_bearing.load]], and take file.toml#axial",
+    ),
+    "thrust range": (
+        "force",
+        lambda machine: max(_thrusts(machine)) - min(_thrusts(machine)) or None,
+        "[[thrust_bearing.load]] of two points, and take file.toml#axial",
+    ),
+    "touchdown gap": ("length", _least("touchdown_gap"), "touchdown_gap of a [[bearing]]"),
+}
+
+
+def read_share(value: Any, dimension: Dimension) -> Share | None:
+    """The share that a text such as "80 % of top speed" says; None for anything else. Raises
+    InvalidInput, ValueError.
+    """
+    match = _PHRASE.fullmatch(value.strip()) if isinstance(value, str) else None
+    if not match:
+        return None
+    names = [name for name, (kind, *_) in _QUANTITIES.items() if DIMENSIONS[kind] is dimension]
+    if match[2] not in names:
+        raise ValueError(
+            f"is {value!r}, but may be a share of {' or '.join(names) or 'nothing'} only; correct "
+            "it"
+        )
+    return Share(read_quantity(match[1], DIMENSIONS["ratio"]), match[2])
+
+
+def relative_values(item: Any) -> Iterator[Share]:
+    """All shares in a dataclass, the tuples in it and their items."""
+    if isinstance(item, Share):
+        yield item
+    elif isinstance(item, tuple):
+        for part in item:
+            yield from relative_values(part)
+    elif is_dataclass(item):
+        for field in fields(item):
+            yield from relative_values(getattr(item, field.name))
+
+
+def with_quantities(item: Any, machine: Machine) -> Any:
+    """The same with the machine's numbers in place of shares. Raises InvalidInput where the machine
+    does not state one.
+    """
+    if isinstance(item, Share):
+        _, value_of, key = _QUANTITIES[item.of]
+        value = value_of(machine)
+        if value is None:
+            raise InvalidInput(
+                f"the scenario needs the {item.of} of machine {machine.name!r}, which states "
+                f"none; add {key}"
+            )
+        return float(item) * value
+    if isinstance(item, tuple):
+        return tuple(with_quantities(part, machine) for part in item)
+    if is_dataclass(item) and not isinstance(item, type) and any(relative_values(item)):
+        return replace(
+            item,
+            **{
+                f.name: with_quantities(getattr(item, f.name), machine)
+                for f in fields(item)
+                if f.init
+            },
+        )
+    return item
+
+
+def at_bearings(items: Sequence[Any], bearings: Sequence[str]) -> tuple[Any, ...]:
+    """Disturbances, unbalances or failures with the names of these bearings in place of "first",
+    "last" and "every".
+    """
+    return tuple(made for item in items for made in _at(item, bearings))
+
+
+def _at(item: Any, bearings: Sequence[str]) -> Iterator[Any]:
+    key = next((name for name in ("signal", "port", "axis") if hasattr(item, name)), "")
+    text = getattr(item, key, None) or ""
+    before, word, after = _parted(text)
+    if word not in BEARING_TERMS:
+        yield item
+        return
+    chosen = {"first": bearings[:1], "last": bearings[-1:], "every": bearings}[word]
+    for number, name in enumerate(chosen):
+        changes: dict[str, Any] = {}
+        if isinstance(item, Unbalance):
+            changes = (
+                {"amount": item.amount / len(chosen)}
+                if item.amount is not None
+                else {"share": item.share / len(chosen)}
+            )
+        elif isinstance(item, Prbs):
+            changes = {"seed": item.seed + _SEEDS * number}
+        yield replace(item, **{key: f"{before}{name}{after}"}, **changes)
+
+
+def along_shaft(items: Sequence[Any], axis: str) -> tuple[Any, ...]:
+    """The same on the one axis of ``AxialMachine``: what is along a bearing's first direction acts
+    on it, what is along its second one on nothing.
+    """
+    name, found = axis.removesuffix(AXIS), []
+    for item in items:
+        key = next((key for key in ("signal", "axis") if getattr(item, key, None)), "")
+        text = getattr(item, key, "") if key else ""
+        if text.endswith(f"{name}_zeta"):
+            found.append(replace(item, **{key: f"{text.removesuffix('_zeta')}{AXIS}"}))
+        elif not text.endswith(f"{name}_eta"):
+            found.append(item)
+    return tuple(found)
+
+
+def names_thrust(item: Any) -> bool:
+    """Whether a disturbance or failure is along the shaft by its name: e_thrust_z, f_T_z, T_z."""
+    text = getattr(item, "signal", None) or getattr(item, "axis", None) or ""
+    return bool(text.endswith(AXIS))
+
+
+def on_thrust(items: Sequence[Any], axis: str) -> tuple[Any, ...]:
+    """What is along the shaft by its name, with the axis in place of "thrust_z", and what is of all
+    axes (a failure of no axis by itself).
+    """
+    chosen = []
+    for item in items:
+        if getattr(item, "axis", "") is None:
+            chosen.append(item)
+        elif names_thrust(item):
+            key = "signal" if getattr(item, "signal", None) else "axis"
+            text = getattr(item, key)
+            ending = _THRUST if text.endswith(_THRUST) else axis
+            chosen.append(replace(item, **{key: f"{text.removesuffix(ending)}{axis}"}))
+    return tuple(chosen)
+
+
+def _parted(text: str) -> tuple[str, str, str]:
+    """ "e_first_zeta" -> "e_", "first", "_zeta"; "first_zeta" and "first" likewise."""
+    match = re.fullmatch(rf"([edrf]_)?({'|'.join(BEARING_TERMS)})(_zeta|_eta)?", text)
+    return (match[1] or "", match[2], match[3] or "") if match else ("", text, "")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.arguments import check_types
+from ambrose.core.checks import check_types
 from ambrose.core.presentation import Presented, data_frame, to_plain
 from ambrose.core.response import settling_time
 from ambrose.record.record import Record

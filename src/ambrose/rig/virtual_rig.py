@@ -15,15 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
-from ambrose.law.law import Law, LawLike, law_of
-from ambrose.law.program import ControlProgram
-from ambrose.law.scheduling import PRESSURE, SPEED
-from ambrose.law.timing import DEFAULT, Timing, machine_timing
-from ambrose.machine.axial import AxialMachine
+from ambrose.law.law import PRESSURE, SPEED, ControlProgram, Law, LawLike, law_of
+from ambrose.law.loop import DEFAULT, Timing, machine_timing
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.machine import Machine
+from ambrose.machine.machine import AxialMachine, Machine
 from ambrose.rig import axial_rig
-from ambrose.rig.disturbances import PressureChange, SpeedChange
 from ambrose.rig.engine.controller import (
     NO_PROGRAM,
     RunningProgram,
@@ -34,22 +30,23 @@ from ambrose.rig.engine.controller import (
     take_over,
 )
 from ambrose.rig.engine.equilibrium import (
+    Propagator,
     fastest_pole,
     landed_state,
     levitated_state,
     linear_view,
     measurement,
+    propagator,
     state_at_rest,
     steps_per_sample,
+    steps_within,
 )
 from ambrose.rig.engine.inputs import Drive, Plan, plan, stretch
-from ambrose.rig.engine.outcome import classify_outcome, watch, within_bounds
-from ambrose.rig.engine.propagator import Propagator, propagator, steps_within
-from ambrose.rig.engine.record import Recorder
+from ambrose.rig.engine.record import Recorder, classify_outcome, watch, within_bounds
 from ambrose.rig.engine.state import Rig, build, compiled, kept
-from ambrose.rig.scenario import LEVITATED, Scenario
+from ambrose.rig.linear import waveforms
+from ambrose.rig.scenario import LEVITATED, PressureChange, Scenario, SpeedChange
 from ambrose.rig.trace import Trace
-from ambrose.rig.waveforms import waveforms
 
 STRETCH = 4000  # control samples computed at once
 _SCHEDULED_STRETCH = {SPEED: 50, PRESSURE: 10}  # while what a controller is scheduled over changes

@@ -5,15 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 from ambrose.core.checks import InvalidInput, named_failure
-from ambrose.judge.as_it_runs import certify_as_it_runs
-from ambrose.judge.certificate import certify
-from ambrose.judge.result import Status, Synthesis
+from ambrose.judge.result import Status, Synthesis, certify, certify_as_it_runs
+from ambrose.law.loop import Timing, machine_timing
 from ambrose.law.pid import pid_controller
-from ambrose.law.timing import Timing, machine_timing
-from ambrose.machine.axial import in_file
-from ambrose.machine.controller import (
-    PidSettings,
-)
+from ambrose.machine.machine import in_file
+from ambrose.machine.part import PidSettings
 from ambrose.model.plant import Plant
 
 

@@ -33,7 +33,7 @@ from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.presentation import Presented
 from ambrose.core.statespace import spectral_abscissa
 from ambrose.core.synchronous import sector_angle
-from ambrose.judge.synchronous_bands import (
+from ambrose.judge.synchronous import (
     Forbidden,
     converged_at,
     forbidden_bands,
@@ -44,31 +44,34 @@ from ambrose.judge.synchronous_bands import (
 from ambrose.law.law import LawLike
 from ambrose.law.synchronous import (
     MODES,
+    BlockTable,
     Condition,
     SynchronousLoop,
+    block_of,
+    block_table,
     conditions,
     extreme_conditions,
+    loop_pencils,
+    prove_interval,
+    running_table,
     synchronous_loop,
 )
-from ambrose.law.synchronous_pencils import loop_pencils, prove_interval
-from ambrose.law.synchronous_table import BlockTable, block_of, block_table, running_table
-from ambrose.machine.axial import across_the_shaft
 from ambrose.machine.criteria import TWO_PI
-from ambrose.machine.machine import Machine
-from ambrose.machine.synchronous import SYNCHRONOUS_UPDATES, Synchronous
+from ambrose.machine.machine import Machine, across_the_shaft
+from ambrose.machine.part import SYNCHRONOUS_UPDATES, Synchronous
 from ambrose.model.plant import top_speed
-from ambrose.synthesis.synchronous_damping import MODE as DAMPING
-from ambrose.synthesis.synchronous_damping import damping_blocks
+from ambrose.synthesis.synchronous_gain import MODE as DAMPING
 from ambrose.synthesis.synchronous_gain import (
     SHARE,
     TURNS,
     clear_parts,
+    damping_blocks,
     gain_limit,
     sensitive_gain,
     sensitive_table,
+    usable_tables,
     within_sensitivity,
 )
-from ambrose.synthesis.synchronous_inverse import usable_tables
 
 Progress = Callable[[str], None]
 _LOWEST = 0.1  # of the top speed: where the band begins by default

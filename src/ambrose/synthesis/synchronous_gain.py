@@ -7,20 +7,229 @@ from dataclasses import replace
 
 import numpy as np
 
-from ambrose.core.synchronous import largest_stable
-from ambrose.judge.synchronous_bands import Forbidden, orbit_limit
-from ambrose.judge.synchronous_sensitivity import (
+from ambrose.core.checks import InvalidInput
+from ambrose.core.synchronous import best_inverse, convergence, largest_stable, sector_angle
+from ambrose.judge.synchronous import (
+    Forbidden,
+    converged_at,
+    forbidden_bands,
+    orbit_limit,
+    unbalance_of,
+    worst_signal,
+)
+from ambrose.judge.synchronous_speeds import (
+    MINUTE,
+    SETTLED,
     Look,
     Resonator,
+    bad_parts,
     frozen,
     growth_by_gain,
     resonator,
     sensitivity_peak,
+    survey,
+    zeros,
 )
-from ambrose.judge.synchronous_speeds import MINUTE, SETTLED, bad_parts, survey, zeros
-from ambrose.law.synchronous import Condition, SynchronousLoop
-from ambrose.law.synchronous_table import BlockTable, running_table
+from ambrose.law.synchronous import BlockTable, Condition, SynchronousLoop, block_of, running_table
 from ambrose.machine.criteria import demand
+from ambrose.machine.part import Synchronous
+
+# A synchronous block that damps: through a resonance in which no signal may be driven to zero.
+#
+# The block reads y, c = D y once it has settled, D = g T with T(W) = R(W)^-1 and R from c to -y:
+#
+#     y = y_0 - R c    =>    (I + g R T) y = y_0,    y = y_0/(1 + g)                          (1)
+#
+# Near a critical speed P^-1 is c_d j W there (stiffness and inertia cancel), so that the force
+# which (1) adds opposes the velocity: it raises the damping of the mode by g. Far from it the same
+# D pushes against stiffness or inertia, which costs current; hence the band stays narrow, and g as
+# small as the orbit's limit allows. The leak of the amplitude sets g = eps/(2 leak): it is
+# convergent control with leakage (Knospe et al., Mechatronics 5 (1995) 385).
+
+
+MODE = "damping"
+_SHARES = 0.25 * np.sqrt(2.0) ** np.arange(13)  # g that are tried, 0.25 to 16
+_CURRENT = 0.5  # of the smallest limit of a coil's current, for the 1x current
+_POINTS = 9  # of a band, at which the current is looked at
+
+
+def damping_blocks(
+    loop: SynchronousLoop,
+    band: tuple[float, float],
+    at: Sequence[Condition],
+    corners: Sequence[Condition],
+    clear: float,
+    time_constant: float | None = None,
+    update: str = "sample",
+    progress: Callable[[str], None] = lambda text: None,
+) -> tuple[tuple[Synchronous, ...], float]:
+    """Blocks of mode "damping" that keep the orbit within ``clear`` of its limit all over the band
+    [rad/s], at the conditions ``at`` and the corners of their tolerances; and g [-], by which they
+    divide 1x, less one.
+
+    time_constant [s]: 2/eps; None: as short as poles and sensitivity allow. update: "sample" or
+    "turn". Raises InvalidInput
+    where no g up to 16 keeps the orbit within its limit and the current within half of the coils',
+    or where no T converges, poles or sensitivity are lost.
+    """
+    progress(f"damping from {band[0]:.4g} to {band[1]:.4g} rad/s")
+    tables: list[tuple[tuple[float, float], BlockTable]] = []
+    for where, table, refused in usable_tables(loop, MODE, band, at):
+        if refused is not None:
+            raise InvalidInput(f"damping is not possible there: {refused}")
+        tables.append((where, table))
+
+    g = _least_share(loop, tables, at, corners, clear)
+
+    # leak = eps/(2 g):   c = eps/(2 leak) T y = g T y
+    leak_per_gain = 1 / (2 * g)
+    kept, lost = within_sensitivity(loop, MODE, tables, at, leak_per_gain)
+    if lost:
+        raise InvalidInput(f"damping is not possible there: {lost[0]}")
+    limit = min(gain_limit(loop, MODE, where, table, at, update) for where, table in kept)
+    gain = min(SHARE * limit, TURNS * band[0])
+    if time_constant is not None:
+        gain = min(gain, 2 / time_constant)
+    gain, _ = sensitive_gain(loop, MODE, kept, at, gain, leak_per_gain)
+    blocks = tuple(
+        block_of(MODE, where, 2 / gain, table, leak=gain * leak_per_gain, update=update)
+        for where, table in kept
+    )
+    return blocks, g
+
+
+def _least_share(
+    loop: SynchronousLoop,
+    tables: Sequence[tuple[tuple[float, float], BlockTable]],
+    at: Sequence[Condition],
+    corners: Sequence[Condition],
+    clear: float,
+) -> float:
+    """The smallest g of ``_SHARES`` that keeps orbit and current. Raises InvalidInput."""
+    available = _available_current(loop)
+    why = "no g was tried"
+    for g in _SHARES:
+        trial = float(g)
+        why = ""
+        for where, table in tables:
+
+            def drive(speed: float, table: BlockTable = table, trial: float = trial) -> np.ndarray:
+                return trial * table.at(speed)
+
+            broken = forbidden_bands(loop, MODE, where, (*at, *corners), drive, share=clear)
+            if broken:
+                why = str(broken[0])
+                break
+            current = _largest_current(loop, where, at, drive)
+            if current > available:
+                # more g takes more current
+                raise InvalidInput(
+                    f"damping by {trial:.3g} takes {current:.3g} A at 1x, more than half of a "
+                    f"coil's limit, {available:.3g} A; balance the rotor better"
+                )
+        if not why:
+            return trial
+    raise InvalidInput(f"damping by up to {_SHARES[-1]:.3g} does not keep the orbit: {why}")
+
+
+def _available_current(loop: SynchronousLoop) -> float:
+    """What 1x may take of a coil's current [A]; inf where no limit is known."""
+    limits = [b.max_current for b in loop.machine.bearings if b.max_current is not None]
+    return _CURRENT * min(limits, default=np.inf)
+
+
+def _largest_current(
+    loop: SynchronousLoop,
+    band: tuple[float, float],
+    at: Sequence[Condition],
+    drive: Callable[[float], np.ndarray],
+) -> float:
+    """The largest 1x control current [A] over a band under the residual unbalance."""
+    residual = unbalance_of(loop.machine)
+    return max(
+        worst_signal(
+            converged_at(loop, MODE, float(w), condition, drive).u, float(residual.force(w))
+        )
+        for condition in at
+        for w in np.linspace(*band, _POINTS)
+    )
+
+
+# T of a synchronous block over a band: the inverse of what the block sees, for all pressures.
+
+
+# knots of a table over a band as wide as its middle speed, to begin with; of any table, at most;
+# assumed
+_KNOTS, _MOST_KNOTS = 17, 97
+_ANGLE = np.radians(15.0)  # below which no T is offered
+_LOSS = np.radians(5.0)  # by which T between two knots may be worse than at them
+
+
+def usable_tables(
+    loop: SynchronousLoop, mode: str, band: tuple[float, float], at: Sequence[Condition]
+) -> list[tuple[tuple[float, float], BlockTable, Forbidden | None]]:
+    """The parts of a band [rad/s] in which one T converges at all conditions with ``_ANGLE`` to
+    spare, with their tables; and those in which none was found, with an empty table.
+    """
+    count = max(5, int(np.ceil(_KNOTS * (band[1] - band[0]) / (0.5 * (band[0] + band[1])))))
+    known = {
+        float(w): _inverse(loop, mode, float(w), at) for w in np.linspace(*band, min(count, 33))
+    }
+    pending = list(zip(sorted(known)[:-1], sorted(known)[1:], strict=True))
+    while pending and len(known) < _MOST_KNOTS:
+        a, b = pending.pop()
+        if min(known[a][1], known[b][1]) < _ANGLE:
+            continue
+        middle, mean = (a + b) / 2, (known[a][0] + known[b][0]) / 2
+        between = min(
+            sector_angle(mean @ loop.response(mode, middle, condition)) for condition in at
+        )
+        if between < min(known[a][1], known[b][1]) - _LOSS and b - a > 1e-3 * b:
+            known[middle] = _inverse(loop, mode, middle, at)
+            pending += [(a, middle), (middle, b)]
+    speeds = sorted(known)
+    good = [known[w][1] >= _ANGLE for w in speeds]
+    parts: list[tuple[tuple[float, float], BlockTable, Forbidden | None]] = []
+    k = 0
+    while k < len(speeds):
+        end = k
+        while end + 1 < len(speeds) and good[end + 1] == good[k]:
+            end += 1
+        if good[k]:
+            if end > k:
+                chosen = speeds[k : end + 1]
+                table = BlockTable(np.array(chosen), np.array([known[w][0] for w in chosen]))
+                parts.append(((chosen[0], chosen[-1]), table, None))
+        else:
+            ends = speeds[max(k - 1, 0)], speeds[min(end + 1, len(speeds) - 1)]
+            worst = min(speeds[k : end + 1], key=lambda w: known[w][1])
+            reason = f"no T converges at all pressures with {np.degrees(_ANGLE):.0f} deg to spare"
+            limit = orbit_limit(loop.machine, worst)
+            parts.append(
+                (
+                    ends,
+                    BlockTable(np.array([]), np.array([])),
+                    Forbidden(
+                        *ends, worst, np.nan, np.nan, limit, f"{len(at)} pressures", reason=reason
+                    ),
+                )
+            )
+        k = end + 1
+    return parts
+
+
+def _inverse(
+    loop: SynchronousLoop, mode: str, speed: float, at: Sequence[Condition]
+) -> tuple[np.ndarray, float]:
+    """T (a, a) at a speed for all conditions, scaled to the slowest direction, and its sector angle
+    [rad].
+    """
+    responses = np.array([loop.response(mode, speed, condition) for condition in at])
+    T = best_inverse(responses)
+    slowest = float(convergence(T, responses).min())
+    angle = min(sector_angle(T @ R) for R in responses)
+    return (T / slowest if slowest > 0 else T), float(angle)
+
 
 SHARE = 1 / 3  # of the largest stable eps, which a design takes
 TURNS = 1 / 20  # eps over the lowest speed of a band, at most

@@ -14,20 +14,18 @@ from typing import Any, cast
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, invalid
 from ambrose.core.presentation import Presented, data_frame, with_unit
+from ambrose.core.processes import TimeLimit
 from ambrose.core.statespace import StateSpace
-from ambrose.core.time_limit import TimeLimit
-from ambrose.judge.envelope import envelope_of
+from ambrose.judge.plants import envelope_of
 from ambrose.judge.result import Synthesis
 from ambrose.law.pid import first_settings, pid_controller
-from ambrose.machine.axial import across_the_shaft
-from ambrose.machine.machine import Machine
-from ambrose.machine.messages import suggestion
-from ambrose.machine.units import DIMENSIONS, read_quantity
+from ambrose.machine.machine import Machine, across_the_shaft
+from ambrose.machine.units import DIMENSIONS, read_quantity, suggestion
 from ambrose.model.assemble import assemble
-from ambrose.synthesis.fixed_order.aims import aims_of
+from ambrose.synthesis.fixed_order.channels import aims_of
 from ambrose.synthesis.fixed_order.job import Job, Law, first_law, prepare, with_states
 from ambrose.synthesis.fixed_order.tuning import INTERRUPTED, tuned
-from ambrose.synthesis.methods.tuned import Tuned
+from ambrose.synthesis.methods import Tuned
 
 ORDER = "order"
 # what can be traded -> its dimension; all but the log decrement are easier to meet at larger values

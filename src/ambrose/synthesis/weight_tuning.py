@@ -25,8 +25,7 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import ControllerLike, as_statespace
 from ambrose.judge.result import Synthesis
-from ambrose.law.design_problem import design_plant
-from ambrose.law.weights import Weights, scale_control
+from ambrose.law.design_problem import Weights, design_plant, scale_control
 from ambrose.model.plant import Plant
 
 BAND = (0.0, 2 * np.pi * 200.0)  # [rad/s]

@@ -15,13 +15,20 @@ import numpy as np
 import pytest
 
 import ambrose as amb
-from ambrose.annexes.campaigns.case import assign, subject
-from ambrose.annexes.campaigns.plan import Times, plan_of
-from ambrose.annexes.campaigns.result import read_campaign
-from ambrose.annexes.campaigns.run import ROWS, bases_of, fixed_of, rows_of, run_plan
-from ambrose.annexes.campaigns.tasks import PEAK, checks_of, compute, full_plant
-from ambrose.annexes.campaigns.variance import main_effects
-from ambrose.annexes.campaigns.workers import executors
+from ambrose.annexes.campaigns.plan import Times, assign, plan_of, subject
+from ambrose.annexes.campaigns.result import main_effects, read_campaign
+from ambrose.annexes.campaigns.run import (
+    PEAK,
+    ROWS,
+    bases_of,
+    checks_of,
+    compute,
+    executors,
+    fixed_of,
+    full_plant,
+    rows_of,
+    run_plan,
+)
 from ambrose.judge.loop_response import loop_evaluator
 
 HEAD = {"task": "screen", "machine": "three-bearing-train", "controller": "pid", "model": "reduced"}
@@ -126,9 +133,8 @@ def test_the_array_agrees_with_every_case_alone():
         assert row.failure == ""
         plant = full_plant(item)
         law = amb.StateSpace(item.controller.law)
-        from ambrose.law.loop import match_controller
-        from ambrose.law.timing import timing_of
-        from ambrose.model.reduce import default_bending_modes, reduce
+        from ambrose.law.loop import match_controller, timing_of
+        from ambrose.model.uncertainty import default_bending_modes, reduce
 
         late = timing_of(item.machine, item.controller).late(match_controller(law, plant))
         at = 2 * np.pi * row.values["sensitivity.output.at"]
@@ -231,7 +237,7 @@ def test_indices_of_a_whole_grid_are_exact():
 
 PARENT = """
 import os, time
-from ambrose.annexes.campaigns.workers import executors
+from ambrose.annexes.campaigns.run import executors
 with executors("processes", 1) as (make, _):
     with make() as pool:
         print(pool.submit(os.getpid).result(), flush=True)

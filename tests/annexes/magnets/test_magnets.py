@@ -11,7 +11,7 @@ import ambrose as amb
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.file.toml import dumps_machine, load_machine, loads_machine
-from ambrose.machine.magnet import Magnet
+from ambrose.machine.part import Magnet
 from ambrose.model.effects.magnet import force, linearised, parameters
 
 BLOWER = load_machine("overhung-blower")

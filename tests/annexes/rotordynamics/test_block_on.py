@@ -16,16 +16,16 @@ import numpy as np
 import pytest
 
 import ambrose as amb
-from ambrose.annexes.rotordynamics import block_on
-from ambrose.annexes.rotordynamics.block_on import with_blocks
+from ambrose.annexes.rotordynamics import analysis as block_on
+from ambrose.annexes.rotordynamics.analysis import with_blocks
 from ambrose.annexes.rotordynamics.loop import shaft_loop
 from ambrose.annexes.rotordynamics.result import Item
 from ambrose.judge.controller_file import read_controller, write_controller
 from ambrose.judge.result import Synthesis
 from ambrose.law.law import law_of
+from ambrose.law.loop import timing_of
 from ambrose.law.pid import pid_controller
-from ambrose.law.synchronous_table import BlockTable, block_of
-from ambrose.law.timing import timing_of
+from ambrose.law.synchronous import BlockTable, block_of
 from ambrose.machine.file.toml import loads_machine
 from own_rotor import Magnet, OwnRotor, written
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ambrose as amb
-from ambrose.annexes.rotordynamics.circuit import circuit_change
+from ambrose.annexes.rotordynamics.capacity import circuit_change
 from ambrose.annexes.rotordynamics.items import circuit
 from ambrose.annexes.rotordynamics.loop import shaft_loop
 from ambrose.annexes.rotordynamics.placement import shaft_modes

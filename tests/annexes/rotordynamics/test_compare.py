@@ -16,10 +16,16 @@ from tests.annexes.rotordynamics.test_lateral import RPM, C, K, films, mass_of
 
 import ambrose as amb
 from ambrose.annexes.rotordynamics.command import foremost
-from ambrose.annexes.rotordynamics.comparison import Comparison, Pair, Theirs, _assign
+from ambrose.annexes.rotordynamics.comparison import (
+    Comparison,
+    Pair,
+    TheirRow,
+    Theirs,
+    _assign,
+    read_table,
+)
 from ambrose.annexes.rotordynamics.page import lateral_page
 from ambrose.annexes.rotordynamics.standard import rpm
-from ambrose.annexes.rotordynamics.their_table import TheirRow, read_table
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 

@@ -8,11 +8,10 @@ import pytest
 
 import ambrose as amb
 from ambrose.annexes.rotordynamics.critical_map import critical_map, dynamic_stiffness
-from ambrose.annexes.rotordynamics.figures import critical_map_figure
 from ambrose.annexes.rotordynamics.loop import shaft_loop
-from ambrose.annexes.rotordynamics.page import lateral_page
+from ambrose.annexes.rotordynamics.page import critical_map_figure, lateral_page
 from ambrose.annexes.rotordynamics.stations import lay_out
-from ambrose.law.timing import Timing
+from ambrose.law.loop import Timing
 from ambrose.machine.file.toml import loads_machine
 from ambrose.model.static_load import magnet_coefficients
 

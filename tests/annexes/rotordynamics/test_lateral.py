@@ -16,20 +16,24 @@ from click.testing import CliRunner
 from scipy.optimize import brentq
 
 import ambrose as amb
+from ambrose.annexes.rotordynamics.analysis import Points, judge_sensitivity
+from ambrose.annexes.rotordynamics.analysis import point_rows as rows_of_points
 from ambrose.annexes.rotordynamics.capacity import UNBALANCE, AxisCapacity
-from ambrose.annexes.rotordynamics.clearances import Reading
 from ambrose.annexes.rotordynamics.command import lateral_command, value_in_words
-from ambrose.annexes.rotordynamics.critical import Critical, criticals
-from ambrose.annexes.rotordynamics.figures import level_one_figure, response_figure, shapes_figure
-from ambrose.annexes.rotordynamics.items import as_it_runs, critical_speeds
+from ambrose.annexes.rotordynamics.comparison import lateral_schema
+from ambrose.annexes.rotordynamics.items import Reading, as_it_runs, critical_speeds
 from ambrose.annexes.rotordynamics.items import capacity as rows_of_capacity
 from ambrose.annexes.rotordynamics.items import unbalance as rows_of_unbalance
-from ambrose.annexes.rotordynamics.json_schema import lateral_schema
-from ambrose.annexes.rotordynamics.level_one import OVERDAMPED
-from ambrose.annexes.rotordynamics.level_two import shares
-from ambrose.annexes.rotordynamics.loop import shaft_loop
-from ambrose.annexes.rotordynamics.page import assumed_table, lateral_page, load_table
-from ambrose.annexes.rotordynamics.phase_budget import free_bending
+from ambrose.annexes.rotordynamics.levels import OVERDAMPED, shares
+from ambrose.annexes.rotordynamics.loop import free_bending, shaft_loop
+from ambrose.annexes.rotordynamics.page import (
+    assumed_table,
+    lateral_page,
+    level_one_figure,
+    load_table,
+    response_figure,
+    shapes_figure,
+)
 from ambrose.annexes.rotordynamics.placement import (
     UnbalanceCase,
     Weight,
@@ -37,22 +41,18 @@ from ambrose.annexes.rotordynamics.placement import (
     shaft_modes,
     span_middle,
 )
-from ambrose.annexes.rotordynamics.points import Points, judge_sensitivity
-from ambrose.annexes.rotordynamics.points import rows as rows_of_points
-from ambrose.annexes.rotordynamics.response import respond
+from ambrose.annexes.rotordynamics.response import Critical, criticals, respond
 from ambrose.annexes.rotordynamics.result import Item, Lateral
 from ambrose.annexes.rotordynamics.stations import lay_out, rigid_support_critical
 from ambrose.chain.check import clearance_doubts
 from ambrose.core.checks import InvalidInput, NumericalFailure
-from ambrose.judge.capacity import AxisLimits, Demand, together
 from ambrose.judge.nominal import check
+from ambrose.judge.unbalance import AxisLimits, Demand, together
 from ambrose.law.law import law_of
-from ambrose.law.loop import running_law
-from ambrose.law.timing import timing_of
+from ambrose.law.loop import running_law, timing_of
 from ambrose.machine.file.toml import loads_machine
 from ambrose.model.assemble import assemble
-from ambrose.model.effects.clearance import Clearance
-from ambrose.model.effects.load import IMPULSE, SURGE
+from ambrose.model.effects.stations import IMPULSE, SURGE, Clearance
 from ambrose.registry import registered, resolve
 from coarse import coarse
 
@@ -920,8 +920,7 @@ def test_data_are_plain_and_as_the_schema_has_them():
     schema = lateral_schema()
     committed = Path(__file__).parents[3] / "docs" / "lateral.schema.json"
     assert json.loads(committed.read_text()) == schema, (
-        "write it anew: python -m ambrose.annexes.rotordynamics.json_schema "
-        "docs/lateral.schema.json"
+        "write it anew: python -m ambrose.annexes.rotordynamics.comparison docs/lateral.schema.json"
     )
     machine = films(STAGE + '[[clearance]]\nname = "lab"\nposition = 0.5\ndiametral = 4e-4\n')
     unstable = films(STAGE.replace("400 kW", "4 MW"))

@@ -13,8 +13,8 @@ import ambrose as amb
 from ambrose.annexes.rotordynamics.analysis import _level_one
 from ambrose.annexes.rotordynamics.stations import lay_out
 from ambrose.law.law import law_of
+from ambrose.law.loop import timing_of
 from ambrose.law.pid import pid_controller
-from ambrose.law.timing import timing_of
 from ambrose.machine.file.toml import loads_machine
 from own_rotor import Journal, Magnet, OwnRotor, judge, written
 

@@ -9,15 +9,14 @@ import pytest
 from scipy.signal import butter, freqs
 
 import ambrose as amb
-from ambrose.annexes.rotordynamics.loop import shaft_loop
-from ambrose.annexes.rotordynamics.phase_budget import phase_budgets
+from ambrose.annexes.rotordynamics.loop import phase_budgets, shaft_loop
 from ambrose.annexes.rotordynamics.stations import lay_out
 from ambrose.core.checks import InvalidInput
 from ambrose.core.sampling import c2d
 from ambrose.law.law import law_of
-from ambrose.law.timing import Timing, timing_of
-from ambrose.machine.chain import ChainElement
+from ambrose.law.loop import Timing, timing_of
 from ambrose.machine.description import Amplifier
+from ambrose.machine.part import ChainElement
 
 
 def budget_of(machine, controller, timing):

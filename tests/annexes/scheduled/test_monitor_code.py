@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 import ambrose as amb
-from ambrose.annexes.scheduled.monitor_code import generate_monitor, write_monitor
-from ambrose.annexes.scheduled.seal_monitor.model import seal_model
-from ambrose.annexes.scheduled.seal_monitor.watch import SealMonitor
-from ambrose.code.c.compiler import build_library, find_compiler, load_library
+from ambrose.annexes.scheduled.monitor import generate_monitor, write_monitor
+from ambrose.annexes.scheduled.seal_monitor import seal_model
+from ambrose.annexes.scheduled.seal_watch import SealMonitor
+from ambrose.code.c.compiled import build_library, find_compiler, load_library
 from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.law.loop import closed_loop, match_controller
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.synthesis.pid import pid_synthesis
 from needs import needs
 

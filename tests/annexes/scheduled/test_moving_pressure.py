@@ -10,20 +10,23 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from ambrose.annexes.scheduled.moving.model import MovingModel
-from ambrose.annexes.scheduled.moving.pressure import check_pressure, pressure_loop
-from ambrose.annexes.scheduled.moving.spans import BentSeal, PressureSpan, pressure_spans
+from ambrose.annexes.scheduled.moving_model import (
+    BentSeal,
+    MovingModel,
+    PressureSpan,
+    pressure_spans,
+)
+from ambrose.annexes.scheduled.moving_proofs import check_pressure, pressure_loop
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import select, spectral_abscissa
 from ambrose.judge.verdict import verify_controller
-from ambrose.law.loop import closed_loop
+from ambrose.law.loop import Timing, closed_loop
 from ambrose.law.pid import pid_controller
-from ambrose.law.timing import Timing
 from ambrose.machine.description import OperatingPoint, Requirements
 from ambrose.machine.machine import Machine
-from ambrose.machine.seals import SealTable
+from ambrose.machine.part import SealTable
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import reduce
 from judge.conftest import PID, make_rig
 
 TIMING = Timing(1e-4, 1)

@@ -9,17 +9,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ambrose.annexes.scheduled.moving.law import moving_law
-from ambrose.annexes.scheduled.moving.model import choose_model, told_range
-from ambrose.annexes.scheduled.moving.on_model import check_on_model, scheduled_spans
+from ambrose.annexes.scheduled.moving_model import (
+    check_on_model,
+    choose_model,
+    moving_law,
+    scheduled_spans,
+    told_range,
+)
 from ambrose.core.checks import InvalidInput
 from ambrose.core.norms import hinf_norm
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, select
 from ambrose.judge.verdict import verify_controller
-from ambrose.law.loop import closed_loop
+from ambrose.law.loop import Timing, closed_loop
 from ambrose.law.pid import pid_controller
-from ambrose.law.timing import Timing
 from ambrose.machine.description import OperatingPoint, Requirements
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble

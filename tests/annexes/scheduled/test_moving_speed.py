@@ -9,17 +9,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ambrose.annexes.scheduled.moving.speed import check_speed, speed_spans
+from ambrose.annexes.scheduled.moving_speed import check_speed, speed_spans
+from ambrose.annexes.scheduled.varying_proof import sampled_closure
 from ambrose.core.checks import InvalidInput
 from ambrose.core.norms import hinf_norm
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, select
-from ambrose.core.varying.loop import sampled_closure
 from ambrose.judge.verdict import verify_controller
-from ambrose.law.loop import closed_loop
+from ambrose.law.loop import Timing, closed_loop
 from ambrose.law.pid import pid_controller
-from ambrose.law.timing import Timing
 from ambrose.machine.description import OperatingPoint, Requirements, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble

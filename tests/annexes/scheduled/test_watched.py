@@ -11,11 +11,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ambrose.annexes.scheduled.seal_monitor.estimator import Estimate
-from ambrose.annexes.scheduled.watched import WatchedProgram, watched
-from ambrose.code.block.fixed import build_block
-from ambrose.code.block.scheduled import build_scheduled_block
-from ambrose.code.block.supervised import supervise, supervised_twin
+from ambrose.annexes.scheduled.seal_monitor import Estimate
+from ambrose.annexes.scheduled.seal_watch import WatchedProgram, watched
+from ambrose.code.block.block import build_block
+from ambrose.code.block.scheduled import build_scheduled_block, supervise, supervised_twin
 from ambrose.code.c.compiled import CompiledSchedule
 from ambrose.code.pipeline import machine_limits
 from ambrose.code.sampled import deploy, deploy_scheduled
@@ -25,8 +24,7 @@ from ambrose.core.statespace import StateSpace
 from ambrose.law.pid import pid_controller
 from ambrose.law.supervision import Fault, Limits, State, supervised
 from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import Prbs, PressureSensor, Pulse
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Prbs, PressureSensor, Pulse, Scenario
 from ambrose.rig.trial import simulate_scenario
 from coarse import coarse
 from needs import needs

@@ -13,13 +13,12 @@ from click.testing import CliRunner
 
 import ambrose as amb
 from ambrose.annexes.site.acceptance import accept
-from ambrose.annexes.site.acceptance_page import acceptance_page
+from ambrose.annexes.site.pages import acceptance_page
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import OperatingPoint, Requirements
 from ambrose.report.page import render
-from ambrose.rig.disturbances import Unbalance
-from ambrose.rig.scenario import load_scenario
+from ambrose.rig.scenario import Unbalance, load_scenario
 
 NAME = "overhung-blower"
 

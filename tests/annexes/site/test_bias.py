@@ -18,8 +18,7 @@ from ambrose.judge.controller_file import write_controller
 from ambrose.machine.description import BiasPoint, OperatingPoint
 from ambrose.model.static_load import magnet_coefficients
 from ambrose.record.files import write_record
-from ambrose.rig.disturbances import Prbs
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Prbs, Scenario
 
 TRAIN, RIG = "three-bearing-train", "seal-rig"
 

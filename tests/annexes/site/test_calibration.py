@@ -15,13 +15,12 @@ from ambrose.annexes.site.calibration import calibrate
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.stator import Runout
+from ambrose.machine.part import Runout
 from ambrose.model.effects import magnet, sensor
 from ambrose.model.effects.seal import coefficients
 from ambrose.model.static_load import operating_magnets, static_sag
 from ambrose.record.record import Record
-from ambrose.rig.disturbances import Sine
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Scenario, Sine
 
 GAIN, OFFSET = (1.04, 0.97), (12e-6, -8e-6)
 

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 import ambrose as amb
 from ambrose.annexes.site.frf import respond
-from ambrose.annexes.site.frf_page import frf_page
+from ambrose.annexes.site.pages import frf_page
 from ambrose.cli import main
 from ambrose.judge.controller_file import read_controller
 from ambrose.record.files import read_record, write_record

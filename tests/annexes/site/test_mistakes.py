@@ -9,17 +9,16 @@ import numpy as np
 import pytest
 
 import ambrose as amb
-from ambrose.annexes.scheduled.seal_monitor.watch import monitor
+from ambrose.annexes.scheduled.seal_watch import monitor
 from ambrose.annexes.site.acceptance import accept
-from ambrose.annexes.site.balancing.correction import balance
+from ambrose.annexes.site.balancing import balance
 from ambrose.core.checks import InvalidInput
 from ambrose.core.sampling import delayed
+from ambrose.identification.data_quality.controller import fit_excitation
 from ambrose.identification.data_quality.diagnosis import screened
-from ambrose.identification.data_quality.excitation_fit import fit_excitation
 from ambrose.identification.output_error.problem import deployed_controller
 from ambrose.identification.parameters import plant_at
-from ambrose.rig.disturbances import Prbs, Unbalance
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Prbs, Scenario, Unbalance
 
 SPEED, NOISE = 2 * np.pi * 50, 1e-8
 

@@ -14,27 +14,26 @@ import pytest
 from click.testing import CliRunner
 
 import ambrose as amb
-from ambrose.annexes.site.retuning import chain
-from ambrose.annexes.site.retuning.chain import (
+from ambrose.annexes.site import retuning as chain
+from ambrose.annexes.site.pages import retuning_page
+from ambrose.annexes.site.retuning import (
     CODE,
     CONTROLLER,
     SAME_ORDER,
     STATE,
+    Moved,
     _begun,
     method_like,
 )
-from ambrose.annexes.site.retuning.page import retuning_page
-from ambrose.annexes.site.retuning.result import Moved
 from ambrose.cli import main
-from ambrose.code.difference import checksum_of
+from ambrose.code.sampled import checksum_of
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.identification.findings import Code
 from ambrose.judge.controller_file import write_controller
-from ambrose.law.timing import Timing
+from ambrose.law.loop import Timing
 from ambrose.machine.description import Tolerance
 from ambrose.report.page import render
-from ambrose.rig.disturbances import Prbs
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Prbs, Scenario
 from ambrose.synthesis.fixed_order.job import with_states
 
 RIG = Path(__file__).parents[3] / "benchmarks" / "snapshot_files" / "small-rig.toml"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ambrose.annexes.site.telling import judged_reach, share, silent_bands, telling, where
+from ambrose.annexes.site.acceptance import judged_reach, share, silent_bands, telling, where
 
 HERTZ = 2 * np.pi
 

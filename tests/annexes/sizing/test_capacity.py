@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 import ambrose as amb
-from ambrose.annexes.sizing import guarantee
-from ambrose.annexes.sizing.guarantee import CAPACITY, attempt
-from ambrose.annexes.sizing.magnets import Size, resized
-from ambrose.judge.capacity import capacity_margin
+from ambrose.annexes.sizing import least as guarantee
+from ambrose.annexes.sizing.least import CAPACITY, Size, attempt, resized
 from ambrose.judge.result import Certificate, Status, Synthesis
+from ambrose.judge.unbalance import capacity_margin
 from ambrose.law.pid import first_settings, pid_controller
-from ambrose.model.effects.load import Load
-from ambrose.synthesis.methods.tuned import Tuned, with_capacity
+from ambrose.model.effects.stations import Load
+from ambrose.synthesis.methods import Tuned, with_capacity
 
 
 def loaded(machine, force):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ambrose import InvalidInput, load_machine
-from ambrose.annexes.sizing.magnets import Size, costs, drives, flux_within, resized
+from ambrose.annexes.sizing.least import Size, costs, drives, flux_within, resized
 from ambrose.machine.description import MagnetGeometry
 from ambrose.model.effects.magnet import VACUUM_PERMEABILITY
 from ambrose.model.static_load import magnet_coefficients, operating_magnets

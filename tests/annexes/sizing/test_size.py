@@ -12,14 +12,13 @@ from click.testing import CliRunner
 
 import ambrose as amb
 from ambrose import InvalidInput, NumericalFailure
-from ambrose.annexes.sizing import guarantee
-from ambrose.annexes.sizing import map as mapped
-from ambrose.annexes.sizing.least import Least, least, price
-from ambrose.annexes.sizing.magnets import Size
+from ambrose.annexes.sizing import least as guarantee
+from ambrose.annexes.sizing import least as mapped
+from ambrose.annexes.sizing.least import Least, Size, least, price
 from ambrose.annexes.sizing.page import sizing_page
 from ambrose.cli import main
 from ambrose.report.page import render
-from ambrose.synthesis.methods.tuned import Tuned
+from ambrose.synthesis.methods import Tuned
 
 FAST = Tuned(rate=10_000, order=8)
 

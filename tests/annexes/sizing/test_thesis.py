@@ -6,7 +6,7 @@ import pytest
 
 import ambrose as amb
 from ambrose.law.pid import pid_controller
-from ambrose.synthesis.methods.tuned import Tuned
+from ambrose.synthesis.methods import Tuned
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch
 
 pytestmark = pytest.mark.literature

@@ -4,7 +4,7 @@ whip.
 
 import numpy as np
 
-from ambrose.annexes.touchdown.fallen import FallenRotor
+from ambrose.annexes.touchdown.drop import FallenRotor
 from ambrose.model.effects.touchdown import Bearing
 
 CLEARANCE = 2e-4

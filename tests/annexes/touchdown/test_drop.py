@@ -7,10 +7,15 @@ import numpy as np
 import pytest
 from free_mass import CLEARANCE, bush, polynomial_edge, rotor
 
-from ambrose.annexes.touchdown.arrays import Case
 from ambrose.annexes.touchdown.drop import Drop, case_of, rig_of, run
-from ambrose.annexes.touchdown.whip import alone, edge_alone, receptances
-from ambrose.annexes.touchdown.whip_at_stop import edge_at_stop, ring_distance
+from ambrose.annexes.touchdown.drop_kernel import Case
+from ambrose.annexes.touchdown.whip import (
+    alone,
+    edge_alone,
+    edge_at_stop,
+    receptances,
+    ring_distance,
+)
 from ambrose.model.effects.touchdown import element_force
 
 G, M = 9.80665, 12.0

@@ -11,32 +11,31 @@ from scipy.integrate import solve_ivp
 
 import ambrose as amb
 from ambrose.annexes.touchdown import analysis
-from ambrose.annexes.touchdown.analysis import usual_duration
-from ambrose.annexes.touchdown.campaign import draw, drops
-from ambrose.annexes.touchdown.drop import build
-from ambrose.annexes.touchdown.fallen import fallen_rotor
-from ambrose.annexes.touchdown.run_down import run_down
-from ambrose.annexes.touchdown.thrust_face import (
+from ambrose.annexes.touchdown.analysis import run_down, usual_duration
+from ambrose.annexes.touchdown.campaign import (
     axial_drop,
     axial_drops,
+    draw,
+    drops,
+    judge_landing,
     landing_force,
     thrust_rows,
 )
-from ambrose.annexes.touchdown.verdict import judge_landing
-from ambrose.annexes.touchdown.whip_at_stop import beyond_stop
+from ambrose.annexes.touchdown.drop import build, fallen_rotor
+from ambrose.annexes.touchdown.whip import beyond_stop
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.attachment import attached
 from ambrose.machine.file.toml import dumps_machine
-from ambrose.machine.thrust import ThrustBearing
-from ambrose.machine.touchdown import (
+from ambrose.machine.part import (
     CoastDown,
     Touchdown,
     TouchdownLimits,
     TouchdownMount,
     TouchdownRace,
 )
-from ambrose.model.axial.wiring import rotor_mass
+from ambrose.machine.thrust import ThrustBearing
+from ambrose.model.axial import rotor_mass
 from ambrose.report.page import page_of, render
 
 G = 9.80665

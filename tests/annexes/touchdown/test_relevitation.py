@@ -6,14 +6,8 @@ import numpy as np
 import pytest
 
 import ambrose as amb
-from ambrose.annexes.touchdown.drop import Drop, build, case_of, run
-from ambrose.annexes.touchdown.fallen import fallen_rotor
-from ambrose.annexes.touchdown.relevitation import (
-    held_states,
-    sampled_law,
-    slow_first,
-    with_magnets,
-)
+from ambrose.annexes.touchdown.analysis import held_states, sampled_law, slow_first, with_magnets
+from ambrose.annexes.touchdown.drop import Drop, build, case_of, fallen_rotor, run
 from ambrose.core.statespace import StateSpace
 
 

@@ -9,7 +9,7 @@ import pytest
 from free_mass import CLEARANCE, bush, polynomial_edge, rotor
 
 import ambrose as amb
-from ambrose.annexes.touchdown.fallen import elements_deflection, stator_receptance
+from ambrose.annexes.touchdown.drop import elements_deflection, stator_receptance
 from ambrose.annexes.touchdown.whip import alone, edge_alone, receptances, together
 from ambrose.core.checks import InvalidInput
 from ambrose.model.effects.touchdown import element_force

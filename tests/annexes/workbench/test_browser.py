@@ -24,7 +24,7 @@ pytest.importorskip("playwright", reason="no playwright: install the extra dev")
 
 from playwright.sync_api import Error, sync_playwright
 
-from ambrose.annexes.workbench import viewers
+from ambrose.annexes.workbench import live as viewers
 from ambrose.annexes.workbench.project import Project, begin
 from ambrose.annexes.workbench.screens import TITLES
 from needs import CHROMIUM

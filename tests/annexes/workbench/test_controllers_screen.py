@@ -8,15 +8,14 @@ import pytest
 
 pytest.importorskip("starlette", reason="no starlette: install the extra workbench")
 
-from ambrose.annexes.workbench import sliders
-from ambrose.annexes.workbench.blocks import Refusal
+from ambrose.annexes.workbench import blocks as sliders
+from ambrose.annexes.workbench.blocks import Refusal, lines_of, with_numbers
 from ambrose.annexes.workbench.project import Project, begin
 from ambrose.annexes.workbench.screens import answer
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.controller_file import read_controller
-from ambrose.machine.controller import Channel, Notch, PidSettings, Section
 from ambrose.machine.file.toml import bundled_machines, load_machine
-from ambrose.machine.setting_numbers import lines_of, with_numbers
+from ambrose.machine.part import Channel, Notch, PidSettings, Section
 
 
 @pytest.fixture(scope="module")

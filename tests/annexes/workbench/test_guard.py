@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("starlette", reason="no starlette: install the extra workbench")
 
-from ambrose.annexes.workbench import uploads
+from ambrose.annexes.workbench import project as uploads
 from ambrose.annexes.workbench.project import Project
 from ambrose.annexes.workbench.screens import answer
 from ambrose.annexes.workbench.server import build

@@ -17,8 +17,8 @@ from ambrose.annexes.workbench.jobs import Jobs
 from ambrose.annexes.workbench.project import Project, begin
 from ambrose.annexes.workbench.server import serve
 from ambrose.core.checks import InvalidInput
-from ambrose.core.listening import listening
-from ambrose.machine.claim import claimed
+from ambrose.core.processes import listening
+from ambrose.machine.ordinary_file import claimed
 
 # a child that makes a child, both for an hour; no second command is compiled or computed for it
 SLEEPER = """

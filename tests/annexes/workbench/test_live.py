@@ -10,14 +10,13 @@ import pytest
 
 pytest.importorskip("starlette", reason="no starlette: install the extra workbench")
 
-from ambrose.annexes.workbench import server, viewers
-from ambrose.annexes.workbench.clock import Clock
-from ambrose.annexes.workbench.live import SAMPLES, LiveSession, packed
+from ambrose.annexes.workbench import live as viewers
+from ambrose.annexes.workbench import server
+from ambrose.annexes.workbench.live import SAMPLES, Clock, LiveRoom, LiveSession, _Viewer, packed
 from ambrose.annexes.workbench.project import Project, begin
 from ambrose.annexes.workbench.server import build
-from ambrose.annexes.workbench.viewers import LiveRoom, _Viewer
 from ambrose.core.checks import InvalidInput
-from ambrose.core.listening import listening, names_of
+from ambrose.core.processes import listening, names_of
 from ambrose.judge.controller_file import write_controller
 from ambrose.model.assemble import assemble
 from ambrose.record.files import read_record
@@ -533,7 +532,7 @@ def test_a_pid_that_does_not_hold_the_rig_is_not_the_first_controller(tmp_path, 
         asked.append((method, options))
         return design(plant, "pid" if method == "pid" else "hinf")  # which is quicker, and holds
 
-    monkeypatch.setattr("ambrose.chain.first_controller.design", designed)
+    monkeypatch.setattr("ambrose.annexes.workbench.live.design", designed)
     session = LiveSession(made)
     assert asked[1] == ("tuned", {"rate": 1e4, "delay_samples": 1})
     assert session.controller == "hinf.json" and not session._lost

@@ -14,10 +14,10 @@ from ambrose.annexes.workbench.blocks import Refusal
 from ambrose.annexes.workbench.desk import Desk
 from ambrose.annexes.workbench.project import Project, begin
 from ambrose.annexes.workbench.screens import answer
+from ambrose.annexes.workbench.svg import svg
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.file.fields import fields_of
 from ambrose.machine.file.toml import bundled_machines, load_machine
-from ambrose.report.svg import svg
+from ambrose.machine.file.update import fields_of
 
 SVG = "{http://www.w3.org/2000/svg}"
 

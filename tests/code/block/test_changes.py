@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ambrose.code.block.changes import beside_blocks, changes_of
+from ambrose.code.block.scheduled import beside_blocks, changes_of
 from schedule_driver import block_of, gain_schedule, small_schedule
 
 RNG = np.random.default_rng(3)

@@ -11,8 +11,7 @@ import scipy.signal
 import code_driver as driver
 import schedule_driver as schedules
 from ambrose import StateSpace
-from ambrose.code.block.fixed import build_block
-from ambrose.code.block.motion import bound_motion
+from ambrose.code.block.block import build_block
 from ambrose.code.block.run import (
     BEHIND,
     CLAMPED,
@@ -21,10 +20,11 @@ from ambrose.code.block.run import (
     LIMITED,
     TOLD,
     follow_told,
+    make_scheduled_vectors,
     run_block,
     run_scheduled,
 )
-from ambrose.code.block.vectors import make_scheduled_vectors
+from ambrose.code.block.scheduled import bound_motion
 from ambrose.code.sampled import deploy, deploy_scheduled
 from ambrose.core.checks import InvalidInput, NumericalFailure, UnstableSystem
 from ambrose.core.sampling import c2d

@@ -11,14 +11,14 @@ import scipy.signal
 
 import code_driver as driver
 from ambrose import load_machine
-from ambrose.code.block.cascade import build_cascade
-from ambrose.code.block.cascade_fixed import (
+from ambrose.code.block.block import build_block
+from ambrose.code.block.cascade import (
     _from_signals,
     _gains,
+    build_cascade,
     cascade_error,
     to_fixed_cascade,
 )
-from ambrose.code.block.fixed import build_block
 from ambrose.code.block.run import LIMITED, run_block, run_fixed_cascade
 from ambrose.code.c.code import generate
 from ambrose.code.c.compiled import CompiledBlock, read_law
@@ -28,10 +28,9 @@ from ambrose.code.targets import C
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.result import Synthesis
 from ambrose.law.pid import pid_controller
-from ambrose.machine.controller import MODES, Channel, PidSettings, Section
+from ambrose.machine.part import MODES, Channel, PidSettings, Section
 from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import Pulse
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Pulse, Scenario
 from needs import needs
 
 MACHINE = load_machine("seal-rig")

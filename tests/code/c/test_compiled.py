@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
-from ambrose.code.block.fixed import build_block
+from ambrose.code.block.block import build_block
 from ambrose.code.block.run import run_block
 from ambrose.code.c.compiled import CompiledBlock, read_law
 from ambrose.code.pipeline import machine_limits, unverified_block
@@ -16,8 +16,8 @@ from ambrose.code.sampled import deploy
 from ambrose.code.targets import C
 from ambrose.core.checks import InvalidInput
 from ambrose.judge import nominal
+from ambrose.law.law import NativeProgram
 from ambrose.law.pid import pid_controller
-from ambrose.law.program import NativeProgram
 from ambrose.model.assemble import assemble
 from ambrose.rig import virtual_rig
 from ambrose.rig.scenario import load_scenario

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from ambrose.code.c import compiler
-from ambrose.code.c.compiler import build_library, compiler_problem, has_compiler, load_library
-from ambrose.code.fmu.archive import check_compiler
+from ambrose.code.c import compiled as compiler
+from ambrose.code.c.compiled import build_library, compiler_problem, has_compiler, load_library
+from ambrose.code.fmu import check_compiler
 from ambrose.core.checks import InvalidInput
 from needs import needs
 

@@ -13,10 +13,9 @@ import scipy.signal
 import code_driver as driver
 import example_blocks as example
 from ambrose import StateSpace, load_machine
-from ambrose.code.block.fixed import build_block
-from ambrose.code.block.fixed_point import to_fixed_point
+from ambrose.code.block.block import build_block
+from ambrose.code.block.fixed_point import floating_error, to_fixed_point, word_lengths
 from ambrose.code.block.run import FAULT, HELD, LIMITED, run_block, run_fixed
-from ambrose.code.block.word_length import floating_error, word_lengths
 from ambrose.code.c.code import generate, write_code
 from ambrose.code.sampled import deploy
 from ambrose.core.checks import InvalidInput, UnstableSystem

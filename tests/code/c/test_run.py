@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from ambrose import StateSpace, load_machine
+from ambrose.code.block.block import build_block
 from ambrose.code.block.cascade import build_cascade
-from ambrose.code.block.fixed import build_block
 from ambrose.code.block.run import run_block, run_scheduled, run_supervised
-from ambrose.code.block.supervised import supervise
+from ambrose.code.block.scheduled import supervise
 from ambrose.code.c.code import in_words
-from ambrose.code.c.compiler import find_compiler
-from ambrose.code.c.run import CompiledRun, generate_run
+from ambrose.code.c.compiled import find_compiler
+from ambrose.code.c.synchronous import CompiledRun, generate_run
 from ambrose.code.sampled import deploy
 from ambrose.code.synchronous import RunUnit, in_order, run_unit, run_unit_words
 from ambrose.core.checks import InvalidInput
@@ -29,7 +29,7 @@ from ambrose.law.synchronous_block import (
     SynchronousLaw,
     key_phasor,
 )
-from ambrose.machine.controller import Channel, PidSettings, Section
+from ambrose.machine.part import Channel, PidSettings, Section
 from code_driver import sanitizers
 from needs import needs
 from schedule_driver import CURRENT, DT, ERROR, block_of, gain_schedule, pressure_schedule

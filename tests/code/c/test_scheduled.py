@@ -12,9 +12,17 @@ import pytest
 import code_driver as driver
 import example_blocks as example
 from ambrose import StateSpace
-from ambrose.code.block.cost import scheduled_cost
-from ambrose.code.block.fixed import build_block
-from ambrose.code.block.run import BEHIND, CLAMPED, FAULT, HELD, LIMITED, TOLD, run_scheduled
+from ambrose.code.block.block import build_block
+from ambrose.code.block.run import (
+    BEHIND,
+    CLAMPED,
+    FAULT,
+    HELD,
+    LIMITED,
+    TOLD,
+    run_scheduled,
+    scheduled_cost,
+)
 from ambrose.code.c.code import generate, write_code
 from ambrose.code.sampled import deploy
 from ambrose.core.checks import InvalidInput

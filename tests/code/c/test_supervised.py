@@ -14,12 +14,17 @@ import pytest
 
 import code_driver as driver
 from ambrose import StateSpace
-from ambrose.code.block.cost import scheduled_cost, step_cost
-from ambrose.code.block.fixed import build_block
-from ambrose.code.block.run import LATCHED, REASON_AT, STATE_AT, run_supervised
-from ambrose.code.block.scheduled import build_scheduled_block
-from ambrose.code.block.supervised import supervise, supervised_twin
-from ambrose.code.block.vectors import make_scheduled_vectors
+from ambrose.code.block.block import build_block
+from ambrose.code.block.run import (
+    LATCHED,
+    REASON_AT,
+    STATE_AT,
+    make_scheduled_vectors,
+    run_supervised,
+    scheduled_cost,
+    step_cost,
+)
+from ambrose.code.block.scheduled import build_scheduled_block, supervise, supervised_twin
 from ambrose.code.c.code import generate
 from ambrose.code.c.compiled import CompiledSchedule
 from ambrose.code.pipeline import export, machine_limits
@@ -29,8 +34,7 @@ from ambrose.core.scheduled import ScheduledSystem
 from ambrose.law.pid import pid_controller
 from ambrose.law.supervision import Fault, Limits, State
 from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import PressureChange, PressureSensor, Pulse
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import PressureChange, PressureSensor, Pulse, Scenario
 from coarse import coarse
 from needs import needs
 from schedule_driver import CURRENT, DT, ERROR, block_of, gain_schedule, pressure_schedule

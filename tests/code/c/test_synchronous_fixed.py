@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ambrose.code.block.synchronous_twin import SynchronousTwin
-from ambrose.code.block.synchronous_words import ONE, to_words
-from ambrose.code.c.synchronous_fixed import CompiledWords, generate_words, table_found
+from ambrose.code.block.synchronous_twin import ONE, SynchronousTwin, to_words
+from ambrose.code.c.synchronous import CompiledWords, generate_words, table_found
 from ambrose.core.checks import InvalidInput
 from ambrose.law.synchronous_block import (
     BlockFault,

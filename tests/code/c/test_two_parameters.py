@@ -17,11 +17,11 @@ from ambrose.code.block.run import BEHIND, CLAMPED, FAULT, TOLD, TOLD_SECOND, ru
 from ambrose.code.block.scheduled import build_scheduled_block, neighbours
 from ambrose.code.c.code import generate, write_code
 from ambrose.code.c.compiled import CompiledSchedule, read_law
-from ambrose.code.fmu.archive import generate_fmus
+from ambrose.code.fmu import generate_fmus
 from ambrose.code.sampled import deploy_scheduled
 from ambrose.core.checks import InvalidInput
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.law.scheduling import BOTH
+from ambrose.law.law import BOTH
 from ambrose.rig import virtual_rig
 from needs import needs
 from rig.test_two_parameters import TURNING, WEIGHTLESS, ZERO, apart, product

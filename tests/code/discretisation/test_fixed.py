@@ -11,10 +11,9 @@ from ambrose.judge.result import Certificate, Synthesis
 from ambrose.judge.sampled import check_over_box
 from ambrose.law.design_problem import design_plant
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import reduce
-from ambrose.model.uncertainty import perturbed
+from ambrose.model.uncertainty import perturbed, reduce
 from ambrose.synthesis.design import design
-from ambrose.synthesis.hinf.synthesis import hinf_synthesis
+from ambrose.synthesis.hinf import hinf_synthesis
 
 DT = 1e-4
 

@@ -19,10 +19,9 @@ import code_driver as driver
 from ambrose import StateSpace
 from ambrose.code.block.fixed_point import to_fixed_point
 from ambrose.code.block.run import FAULT, HELD, LIMITED, run_block, run_fixed
-from ambrose.code.fmu.archive import generate_fmu, generate_fmus, generate_sources
-from ambrose.code.fmu.description import variables
+from ambrose.code.fmu import generate_fmu, generate_fmus, generate_sources, variables
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.atomic_write import write_files
+from ambrose.machine.ordinary_file import write_files
 from example_blocks import CURRENT, ERROR, gain_block, rig_block, small_block
 from fmu_player import Player
 from needs import needs

@@ -7,10 +7,9 @@ import pytest
 from fmpy.validation import validate_fmu
 
 import code_driver as driver
-from ambrose.code.block.fixed import build_block
+from ambrose.code.block.block import build_block
 from ambrose.code.block.run import BEHIND, CLAMPED, FAULT, HELD, LIMITED, TOLD, run_scheduled
-from ambrose.code.fmu.archive import generate_fmu
-from ambrose.code.fmu.description import model_description
+from ambrose.code.fmu import generate_fmu, model_description
 from ambrose.code.sampled import deploy
 from ambrose.core.checks import InvalidInput
 from fmu_player import Player

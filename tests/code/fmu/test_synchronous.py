@@ -8,9 +8,8 @@ from fmpy.validation import validate_fmu
 
 from ambrose import StateSpace
 from ambrose.code.all_axes import AllAxes
-from ambrose.code.block.fixed import build_block
-from ambrose.code.fmu.archive import generate_fmu
-from ambrose.code.fmu.description import FAULTS
+from ambrose.code.block.block import build_block
+from ambrose.code.fmu import FAULTS, generate_fmu
 from ambrose.code.sampled import deploy
 from ambrose.code.synchronous import RunUnit, run_unit
 from ambrose.law.synchronous_block import BlockLaw, SynchronousLaw

@@ -13,13 +13,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ambrose.code.bare_metal import SAMPLES, bare_metal_files
-from ambrose.code.block.supervised import SupervisedBlock
-from ambrose.code.processor.build import build
-from ambrose.code.processor.link import Link
-from ambrose.code.processor.machines import PROCESSORS, host
-from ambrose.code.processor.unit import unit_of
-from ambrose.code.rendering import render
+from ambrose.code.block.block import render
+from ambrose.code.block.scheduled import SupervisedBlock
+from ambrose.code.processor_build import (
+    PROCESSORS,
+    SAMPLES,
+    Link,
+    bare_metal_files,
+    build,
+    host,
+    unit_of,
+)
 from ambrose.code.targets import C
 from example_blocks import rig_block, small_block
 from needs import needs

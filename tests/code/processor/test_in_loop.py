@@ -14,10 +14,8 @@ from click.testing import CliRunner
 
 import ambrose as amb
 from ambrose.cli import main
-from ambrose.code.in_loop import simulate_on_target
-from ambrose.code.processor.machines import PROCESSORS
-from ambrose.code.processor.program import target_program
-from ambrose.code.processor.unit import unit_of
+from ambrose.code.in_loop import simulate_on_target, target_program
+from ambrose.code.processor_build import PROCESSORS, unit_of
 from ambrose.code.targets import C
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.controller_file import write_controller

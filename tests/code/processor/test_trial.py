@@ -14,15 +14,20 @@ import pytest
 from click.testing import CliRunner
 
 from ambrose.cli import main
+from ambrose.code import processor_build as link
+from ambrose.code import processor_build as machines
 from ambrose.code.c.code import generate
-from ambrose.code.processor import link, machines
-from ambrose.code.processor.build import Program, build
-from ambrose.code.processor.link import Link
-from ambrose.code.processor.machines import PROCESSORS
-from ambrose.code.processor.stimulus import stimulus
-from ambrose.code.processor.trial import check_room, try_unit
-from ambrose.code.processor.unit import unit_of
-from ambrose.code.processor.unwound import Unwalked, listed, written_below
+from ambrose.code.processor_build import (
+    PROCESSORS,
+    Link,
+    Program,
+    Unwalked,
+    build,
+    listed,
+    unit_of,
+    written_below,
+)
+from ambrose.code.processor_trial import check_room, stimulus, try_unit
 from ambrose.code.targets import PROCESSORS as OFFERED
 from ambrose.code.targets import C
 from ambrose.core.checks import InvalidInput

@@ -11,9 +11,8 @@ from ambrose.core.checks import InvalidInput, NumericalFailure, UnstableSystem
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import ComplexBlock, FullBlock, RealBlock
 from ambrose.core.mu import all_frequencies
-from ambrose.core.mu.all_frequencies import proved_below, proved_level
+from ambrose.core.mu.all_frequencies import chords, proved_below, proved_level
 from ambrose.core.mu.bounds import mu_peak
-from ambrose.core.mu.chords import chords
 from ambrose.core.mu.upper import UpperBound
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, append

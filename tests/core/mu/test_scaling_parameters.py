@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from ambrose.core.lft import Block, ComplexBlock, FullBlock, RealBlock
-from ambrose.core.mu.scaling_parameters import Basis, scaling_basis
-from ambrose.core.mu.structure import structure_of
+from ambrose.core.mu.structure import Basis, scaling_basis, structure_of
 
 STRUCTURES: tuple[list[Block], ...] = (
     [RealBlock("r"), FullBlock("f", 1, 1)],  # dense coefficients
@@ -46,7 +45,7 @@ def test_traces_and_curvature(blocks, g_scaling, monkeypatch):
     curvature = flat @ products.swapaxes(2, 3).reshape(flat.shape).swapaxes(1, 2)
     np.testing.assert_allclose(basis.traces(K), traces.real, atol=1e-11)
     np.testing.assert_allclose(basis.curvature(K), curvature.real, rtol=1e-12, atol=1e-10)
-    monkeypatch.setattr("ambrose.core.mu.scaling_parameters._CHUNK", 1)  # one member at a time
+    monkeypatch.setattr("ambrose.core.mu.structure._CHUNK", 1)  # one member at a time
     np.testing.assert_allclose(basis.curvature(K), curvature.real, rtol=1e-12, atol=1e-10)
 
 

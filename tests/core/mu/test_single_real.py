@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from ambrose.core.lft import RealBlock
-from ambrose.core.mu.bounds import mu_bounds
-from ambrose.core.mu.single_real import real_eigenvalue_bound
+from ambrose.core.mu.bounds import mu_bounds, real_eigenvalue_bound
 
 
 def smallest_crossing(M):

@@ -9,7 +9,7 @@ import scipy.linalg as sla
 from ambrose.core.checks import InvalidInput, NumericalFailure, UnstableSystem
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import GeneralizedPlant, RealBlock, close_uncertainty
-from ambrose.core.realisation.coprime import (
+from ambrose.core.realisation import (
     coprime_factors,
     exchange,
     injection_gain,

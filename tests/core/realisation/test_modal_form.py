@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from ambrose.core.frequency import frequency_response
-from ambrose.core.realisation.modal_form import modal_form
+from ambrose.core.realisation import modal_form
 from ambrose.core.statespace import StateSpace, poles
 
 

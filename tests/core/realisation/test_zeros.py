@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg as sla
 
 from ambrose.core.checks import UnstableSystem
-from ambrose.core.realisation.zeros import invariant_zeros, minimal
+from ambrose.core.realisation import invariant_zeros, minimal
 from ambrose.core.statespace import StateSpace, append, poles, series, transfer_function
 
 

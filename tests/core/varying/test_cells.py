@@ -12,11 +12,7 @@ from math import comb
 import numpy as np
 import pytest
 
-from ambrose.core.checks import NumericalFailure
-from ambrose.core.matrix_inequalities.semidefinite import Inequality, minimise, svec
-from ambrose.core.norms import hinf_norm
-from ambrose.core.statespace import StateSpace
-from ambrose.core.varying.cells import (
+from ambrose.annexes.scheduled.varying_cells import (
     Cell,
     CellSearch,
     _entries,
@@ -25,6 +21,10 @@ from ambrose.core.varying.cells import (
     product,
     proved_on_cells,
 )
+from ambrose.core.checks import NumericalFailure
+from ambrose.core.matrix_inequalities import Inequality, minimise, svec
+from ambrose.core.norms import hinf_norm
+from ambrose.core.statespace import StateSpace
 
 C = np.array([[1.0, 0.0]])
 

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from ambrose.annexes.scheduled.varying_proof import VaryingLoop, proved_gain
 from ambrose.core.checks import InvalidInput, NumericalFailure
-from ambrose.core.matrix_inequalities.semidefinite import Inequality, minimise, svec
+from ambrose.core.matrix_inequalities import Inequality, minimise, svec
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace
-from ambrose.core.varying.loop import VaryingLoop
-from ambrose.core.varying.proof import proved_gain
 
 ONE = np.zeros(1, int)
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from ambrose.annexes.scheduled.varying_sampled import SampledLoop, proved_sampled
 from ambrose.core.checks import NumericalFailure
 from ambrose.core.norms import hinf_norm
-from ambrose.core.varying.sampled import SampledLoop, proved_sampled
 
 DT = 0.1
 C = np.array([[1.0, 0.0]])
@@ -26,7 +26,7 @@ def loop(off: float = 0.0) -> SampledLoop:
 
 @pytest.fixture(autouse=True)
 def few_intervals(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ambrose.core.varying.sampled._FIRST", 12)
+    monkeypatch.setattr("ambrose.annexes.scheduled.varying_sampled._FIRST", 12)
 
 
 def at_rest() -> float:

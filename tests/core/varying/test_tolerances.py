@@ -9,11 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ambrose.annexes.scheduled.varying_cells import Cell, proved_over_tolerances
 from ambrose.core.checks import NumericalFailure
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace
-from ambrose.core.varying.cells import Cell
-from ambrose.core.varying.tolerances import proved_over_tolerances
 
 C, Z = np.array([[1.0, 0.0]]), np.array([[1.0, 0.0], [0.0, 1.0]])
 MOVES = 0.3

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ambrose.annexes.scheduled.varying_proof import TwoPort, flow
 from ambrose.core.checks import NumericalFailure
-from ambrose.core.varying.two_port import TwoPort, flow
 
 ONE, NONE = np.eye(1), np.zeros((1, 1))
 

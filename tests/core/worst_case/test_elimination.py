@@ -9,8 +9,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from ambrose.core.worst_case import elimination as box_elimination
-from ambrose.core.worst_case.elimination import determinants_at, transfers_at
+from ambrose.core import worst_case_loop as box_elimination
+from ambrose.core.worst_case_loop import determinants_at, transfers_at
 
 
 def problem(

@@ -10,10 +10,11 @@ from ambrose.core.lft import ComplexBlock, FullBlock, GeneralizedPlant, RealBloc
 from ambrose.core.mu.bounds import mu_bounds
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace
-from ambrose.core.worst_case.bounds import gain_bound, proved_margin
-from ambrose.core.worst_case.crossing import _shared_inputs, box_margin
-from ambrose.core.worst_case.loop import (
+from ambrose.core.worst_case import _log_gain, gain_bound, peak_at, proved_margin, worst_gain
+from ambrose.core.worst_case_loop import (
+    _shared_inputs,
     box_loop,
+    box_margin,
     corners,
     count_unstable,
     gains,
@@ -22,7 +23,6 @@ from ambrose.core.worst_case.loop import (
     sweep,
     unstable_poles,
 )
-from ambrose.core.worst_case.search import _log_gain, peak_at, worst_gain
 
 
 def lag(rate: float = 1.0) -> StateSpace:

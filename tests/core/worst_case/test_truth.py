@@ -11,10 +11,8 @@ from benchmarks import worst_case_truth
 from ambrose.core.lft import RealBlock
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace
-from ambrose.core.worst_case.bounds import proved_gain
-from ambrose.core.worst_case.crossing import box_margin
-from ambrose.core.worst_case.loop import box_loop
-from ambrose.core.worst_case.search import worst_gain
+from ambrose.core.worst_case import proved_gain, worst_gain
+from ambrose.core.worst_case_loop import box_loop, box_margin
 
 
 @pytest.mark.parametrize("seed", [47, *(seed for seed in (27, 37))])

@@ -16,9 +16,8 @@ from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
 from ambrose.identification import pipeline
-from ambrose.identification.data_quality.channels import Wiring, wirings
 from ambrose.identification.data_quality.controller import controller_match
-from ambrose.identification.data_quality.diagnosis import diagnose_records
+from ambrose.identification.data_quality.diagnosis import Wiring, diagnose_records, wirings
 from ambrose.identification.data_quality.signals import flat_tops
 from ambrose.identification.findings import Code, Finding, refuse
 from ambrose.identification.loop import identify_loop, usual_unknowns
@@ -27,15 +26,13 @@ from ambrose.identification.output_error.problem import FitOptions
 from ambrose.identification.validation.plausibility import delay_findings, diagnose_result
 from ambrose.law.loop import closed_loop, match_controller
 from ambrose.machine.description import Tolerance
-from ambrose.machine.seals import SealTable
+from ambrose.machine.part import SealTable
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
-from ambrose.model.uncertainty import perturbed
+from ambrose.model.uncertainty import free_mode_reduction, perturbed
 from ambrose.record.record import Record
-from ambrose.report.identification.page import identification_page
+from ambrose.report.identification import identification_page
 from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import Prbs, Pulse
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Prbs, Pulse, Scenario
 from ambrose.synthesis.pid import pid_synthesis
 
 run = partial(pipeline.identify, bending_modes=1)  # as the loops have that made the records

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.identification.data_quality.one_axis import first_look
 from ambrose.identification.findings import Code
+from ambrose.identification.one_axis.identify import first_look
 
 RECORDS = Path(__file__).parents[2] / "records" / "levitation"
 

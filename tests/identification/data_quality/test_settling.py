@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
-from ambrose.identification.data_quality.settling import left_out, settled
-from ambrose.identification.data_quality.signals import signal_findings
+from ambrose.identification.data_quality.signals import left_out, settled, signal_findings
 from ambrose.identification.findings import Code
 from ambrose.record.record import Record
 

@@ -10,8 +10,7 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace
-from ambrose.identification.frf.local import local_response
-from ambrose.identification.frf.spectral import h1
+from ambrose.identification.frf_spectral import h1, local_response
 from ambrose.machine.description import OperatingPoint
 from ambrose.record.record import Record
 

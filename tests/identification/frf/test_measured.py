@@ -14,12 +14,11 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
-from ambrose.identification.frf.measured import measure
+from ambrose.identification.frf import measure
 from ambrose.law.loop import closed_loop
 from ambrose.machine.description import OperatingPoint
 from ambrose.record.record import Record
-from ambrose.rig.disturbances import Chirp, Prbs, SteppedSine
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Chirp, Prbs, Scenario, SteppedSine
 
 HZ = 2 * np.pi
 NOISE = 2e-8

@@ -5,7 +5,7 @@ sine of order 1.
 import numpy as np
 import pytest
 
-from ambrose.identification.frf.phasors import Step, phasors
+from ambrose.identification.frf import Step, phasors
 from ambrose.record.record import Record
 
 RATE = 1e4

@@ -7,8 +7,7 @@ import pytest
 import scipy.signal
 
 from ambrose.core.checks import InvalidInput
-from ambrose.identification.frf.phasors import steps_of
-from ambrose.identification.frf.stepped import stepped
+from ambrose.identification.frf import stepped, steps_of
 from ambrose.record.record import Record
 
 HZ = 2 * np.pi

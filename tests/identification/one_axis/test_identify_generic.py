@@ -16,11 +16,14 @@ from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.identification.findings import Code
 from ambrose.identification.one_axis.axis_record import read_axis
-from ambrose.identification.one_axis.estimate import estimate
-from ambrose.identification.one_axis.instruments import solve
-from ambrose.identification.one_axis.look import look
-from ambrose.identification.one_axis.model import input_polynomials, own_polynomial
-from ambrose.identification.one_axis.prediction_error import fit_plainest
+from ambrose.identification.one_axis.estimate import (
+    estimate,
+    fit_plainest,
+    input_polynomials,
+    own_polynomial,
+    solve,
+)
+from ambrose.identification.one_axis.identify import look
 from one_axis_loop import Truth, hang, levitate
 
 RECORDS = Path(__file__).parents[2] / "records" / "levitation"

@@ -13,19 +13,24 @@ from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.identification.findings import Code
-from ambrose.identification.model_updating import update_machine
 from ambrose.identification.output_error import closed_loop as whole_loop
 from ambrose.identification.output_error.problem import FitOptions, build_experiment
-from ambrose.identification.parameters import COVERAGE, expand, nominal_values, plant_at
+from ambrose.identification.parameters import (
+    COVERAGE,
+    expand,
+    nominal_values,
+    plant_at,
+    update_machine,
+)
 from ambrose.identification.validation.suspects import suspects
 from ambrose.law.loop import closed_loop, match_controller
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.file.toml import dumps_machine, loads_machine
-from ambrose.machine.rotor_model import BendingMode
+from ambrose.machine.part import BendingMode
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.rotor import finite_element_rotor, free_modes
-from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.record.record import Record
 from whole_records import simulate_derivative
 

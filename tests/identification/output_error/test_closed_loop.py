@@ -13,21 +13,18 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
-from ambrose.identification.model_updating import update_machine
 from ambrose.identification.output_error import closed_loop as fit
 from ambrose.identification.output_error.loop_model import loop_model
-from ambrose.identification.parameters import expand, nominal_values
+from ambrose.identification.parameters import expand, nominal_values, update_machine
 from ambrose.law.loop import closed_loop, match_controller
 from ambrose.machine.description import Tolerance
 from ambrose.model.assemble import assemble
 from ambrose.model.effects import magnet
-from ambrose.model.reduce import free_mode_reduction
 from ambrose.model.static_load import operating_magnets
-from ambrose.model.uncertainty import perturbed
+from ambrose.model.uncertainty import free_mode_reduction, perturbed
 from ambrose.record.record import Record
 from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import Prbs
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Prbs, Scenario
 from ambrose.synthesis.pid import pid_synthesis
 from whole_records import simulate_derivative
 

@@ -12,11 +12,9 @@ from benchmarks import waveforms
 from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
-from ambrose.identification.model_updating import update_machine
 from ambrose.identification.output_error.closed_loop import identify
-from ambrose.identification.output_error.delays import AHEAD, timed
-from ambrose.identification.output_error.loop_model import loop_model
-from ambrose.identification.parameters import expand, nominal_values
+from ambrose.identification.output_error.loop_model import AHEAD, loop_model, timed
+from ambrose.identification.parameters import expand, nominal_values, update_machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, EXCITATION_DELAY
 from ambrose.record.record import Record
 from linear_rig import AXES, DT, E, Y, rig

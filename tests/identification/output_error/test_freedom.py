@@ -10,15 +10,16 @@ from benchmarks import waveforms
 
 from ambrose.core.response import simulate
 from ambrose.core.statespace import select
+from ambrose.identification.output_error import closed_loop as freedom
 from ambrose.identification.output_error import closed_loop as whole_loop
-from ambrose.identification.output_error import freedom, statistics
-from ambrose.identification.output_error.lagged_products import coloured_products
+from ambrose.identification.output_error import statistics
 from ambrose.identification.output_error.normal_equations import (
     explained_columns,
     jacobian_pieces,
     normal_equations,
 )
 from ambrose.identification.output_error.problem import FitOptions, build_experiment
+from ambrose.identification.output_error.statistics import coloured_products
 from ambrose.law.loop import closed_loop
 from ambrose.record.record import Record
 from linear_rig import DT, E, Y, rig

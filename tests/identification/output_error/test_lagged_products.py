@@ -10,10 +10,17 @@ import pytest
 from ambrose.core.response import SystemDerivative, simulate
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.output_error import statistics
-from ambrose.identification.output_error.lagged_products import coloured_products, lagged_sums
-from ambrose.identification.output_error.lifted import lift, stream
-from ambrose.identification.output_error.normal_equations import Task, normal_equations
-from ambrose.identification.output_error.residual_analysis import residual_scores
+from ambrose.identification.output_error.normal_equations import (
+    Task,
+    lift,
+    normal_equations,
+    stream,
+)
+from ambrose.identification.output_error.statistics import (
+    coloured_products,
+    lagged_sums,
+    residual_scores,
+)
 from whole_records import fit_percent, residual_input_test, sandwich_middle
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput, NumericalFailure
-from ambrose.identification.output_error.levenberg_marquardt import Linearised, minimise
+from ambrose.identification.output_error.normal_equations import Linearised, minimise
 
 
 def valley(refused, seen):

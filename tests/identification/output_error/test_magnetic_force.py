@@ -30,13 +30,12 @@ from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint
 from ambrose.model.assemble import assemble
 from ambrose.model.effects import magnet
-from ambrose.model.effects.loaded_magnet import slopes
-from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.effects.magnet import slopes
 from ambrose.model.static_load import operating_magnets
+from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.record.record import Record
 from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import Unbalance
-from ambrose.rig.scenario import load_scenario
+from ambrose.rig.scenario import Unbalance, load_scenario
 from coarse import coarse
 
 UNKNOWN = ("bearing.*.force_per_current.*", "bearing.*.negative_stiffness.*")

@@ -19,7 +19,7 @@ from ambrose.identification.output_error.periodic import _columns, _rows
 from ambrose.identification.parameters import expand, nominal_values
 from ambrose.law.loop import closed_loop
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.record.record import Record
 from ambrose.synthesis.pid import pid_synthesis
 

@@ -13,8 +13,7 @@ from ambrose.core.response import SystemDerivative
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.findings import Code
 from ambrose.identification.output_error import statistics
-from ambrose.identification.output_error.levenberg_marquardt import Linearised, minimise
-from ambrose.identification.output_error.normal_equations import distinct
+from ambrose.identification.output_error.normal_equations import Linearised, distinct, minimise
 from whole_records import (
     fit_percent,
     lifted_sensitivities,

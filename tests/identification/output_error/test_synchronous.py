@@ -12,18 +12,18 @@ from benchmarks import waveforms
 from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate
 from ambrose.core.statespace import select
+from ambrose.identification import frf_spectral as spectral
 from ambrose.identification.findings import Code
-from ambrose.identification.frf import spectral
 from ambrose.identification.output_error.closed_loop import LeastSquares, identify
 from ambrose.identification.output_error.normal_equations import normal_equations
 from ambrose.identification.output_error.problem import FitOptions, build_experiment
 from ambrose.identification.output_error.synchronous import synchronous_of
 from ambrose.identification.parameters import expand, nominal_values
 from ambrose.identification.validation.plausibility import diagnose_outputs
-from ambrose.identification.validation.simulated_output import simulate_outputs
+from ambrose.identification.validation.repeatability import simulate_outputs
 from ambrose.law.loop import closed_loop
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.record.record import Record
 from linear_rig import DT, E, Y, rig
 

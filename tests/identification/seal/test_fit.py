@@ -14,23 +14,21 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
-from ambrose.identification.frf.phasors import find_steps, phasors, steps_of
-from ambrose.identification.seal import stepped_sine, time_domain
-from ambrose.identification.seal.model_updating import update_seal
-from ambrose.identification.seal.result import ENTRIES as ORDER
-from ambrose.identification.seal.result import SealFit, averaged, line
+from ambrose.identification.frf import find_steps, phasors, steps_of
+from ambrose.identification.seal import by_frequency as stepped_sine
+from ambrose.identification.seal import pipeline as time_domain
+from ambrose.identification.seal.by_pressure import ENTRIES as ORDER
+from ambrose.identification.seal.by_pressure import SealFit, averaged, line, update_seal
 from ambrose.law.loop import closed_loop
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.model.assemble import assemble
 from ambrose.model.effects import seal
-from ambrose.model.reduce import free_mode_reduction
-from ambrose.model.uncertainty import perturbed, uncertain
+from ambrose.model.uncertainty import free_mode_reduction, perturbed, uncertain
 from ambrose.record.record import Record
 from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import SteppedSine
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Scenario, SteppedSine
 
 HZ = 2 * np.pi
 DT = 1e-4

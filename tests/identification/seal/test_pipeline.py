@@ -15,10 +15,10 @@ from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.identification.findings import Code
-from ambrose.identification.model_updating import update_machine
 from ambrose.identification.output_error import closed_loop as whole_loop
+from ambrose.identification.parameters import update_machine
 from ambrose.identification.result import Provenance
-from ambrose.identification.seal import time_domain as seal_records
+from ambrose.identification.seal import pipeline as seal_records
 from ambrose.identification.seal.pipeline import identify_seal
 from ambrose.law.loop import closed_loop, match_controller
 from ambrose.law.pid import pid_controller
@@ -26,7 +26,7 @@ from ambrose.machine.description import OperatingPoint
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.model.assemble import assemble
 from ambrose.model.effects import seal
-from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.record.record import Record
 
 DT, K = 1e-4, 8000

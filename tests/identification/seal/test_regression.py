@@ -5,7 +5,7 @@ import pytest
 import scipy.stats
 
 from ambrose.core.checks import InvalidInput
-from ambrose.identification.seal.regression import fit_line
+from ambrose.identification.seal.by_pressure import fit_line
 
 
 def test_line_is_that_of_scipy_and_its_bands_hold():

@@ -7,8 +7,7 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.identification.findings import Code
-from ambrose.identification.seal.by_pressure import SealByPressure, beyond_tolerance
-from ambrose.identification.seal.result import SealFit
+from ambrose.identification.seal.by_pressure import SealByPressure, SealFit, beyond_tolerance
 from ambrose.machine.description import Tolerance
 
 PRESSURES = np.array([0.0, 0.5e5, 1.0e5, 1.5e5, 2.0e5])

@@ -10,18 +10,17 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
-from ambrose.identification.model_updating import update_machine
-from ambrose.identification.static_load import identify as static_load
-from ambrose.identification.static_load.levels import Levels, steady_levels
+from ambrose.identification import static_load
+from ambrose.identification.parameters import update_machine
+from ambrose.identification.static_load import Levels, steady_levels
 from ambrose.law.pid import pid_controller
-from ambrose.machine.controller import Notch, PidSettings
 from ambrose.machine.description import Amplifier, OperatingPoint
+from ambrose.machine.part import Notch, PidSettings
 from ambrose.model.effects import magnet
 from ambrose.model.static_load import operating_magnets
 from ambrose.record.record import Record
 from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import Pulse
-from ambrose.rig.scenario import Scenario, load_scenario
+from ambrose.rig.scenario import Pulse, Scenario, load_scenario
 
 RIG = load_machine("seal-rig")
 BARE = replace(

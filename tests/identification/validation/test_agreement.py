@@ -9,7 +9,7 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
-from ambrose.identification.validation.agreement import compare
+from ambrose.identification.validation.plausibility import compare
 from ambrose.machine.description import OperatingPoint, Tolerance
 
 K_I = "bearing.A.force_per_current.zeta"

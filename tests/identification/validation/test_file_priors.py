@@ -12,11 +12,10 @@ from benchmarks import waveforms
 from ambrose.core.response import simulate
 from ambrose.identification.findings import Code
 from ambrose.identification.loop import identify_loop, usual_unknowns
-from ambrose.identification.output_error.delays import timed
-from ambrose.identification.output_error.loop_model import loop_model
+from ambrose.identification.output_error.loop_model import loop_model, timed
 from ambrose.identification.output_error.problem import FitOptions, build_experiment
 from ambrose.identification.parameters import nominal_values, plant_at
-from ambrose.identification.validation import file_priors
+from ambrose.identification.validation import plausibility as file_priors
 from ambrose.identification.validation import suspects as tried
 from ambrose.record.record import Record
 from linear_rig import DT, E, Y, rig

@@ -8,11 +8,7 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
-from ambrose.identification.validation.operating_load import (
-    load_doubt,
-    load_remarks,
-    machine_at_load,
-)
+from ambrose.identification.validation.places import load_doubt, load_remarks, machine_at_load
 from ambrose.machine.description import OperatingPoint
 from ambrose.model.static_load import operating_magnets
 from ambrose.record.record import Record

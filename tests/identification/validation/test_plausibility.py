@@ -13,7 +13,7 @@ from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.output_error.statistics import ResidualTest
 from ambrose.identification.parameters import magnet_paths
 from ambrose.identification.validation.plausibility import _bursts, _tone, diagnose_result
-from ambrose.identification.validation.simulated_output import SimulatedOutput
+from ambrose.identification.validation.repeatability import SimulatedOutput
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.record.record import Record
 

@@ -9,9 +9,9 @@ import ambrose as amb
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.output_error.problem import FitOptions
 from ambrose.identification.parameters import plant_at
-from ambrose.identification.seal import time_domain
-from ambrose.identification.seal.result import COEFFICIENTS
-from ambrose.identification.validation.rotor_place import standing
+from ambrose.identification.seal import pipeline as time_domain
+from ambrose.identification.seal.by_pressure import COEFFICIENTS
+from ambrose.identification.validation.places import standing
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint
 from ambrose.model.effects.seal import coefficients

@@ -17,7 +17,7 @@ from ambrose.identification.findings import Code
 from ambrose.law.loop import match_controller
 from ambrose.machine.description import Amplifier
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.record.record import Record
 from linear_rig import DT, E, Y
 

@@ -13,8 +13,7 @@ from ambrose.core.response import simulate
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding
 from ambrose.identification.loop import identify_loop
 from ambrose.identification.output_error.closed_loop import ParameterEstimate, identify
-from ambrose.identification.output_error.delays import timed
-from ambrose.identification.output_error.loop_model import loop_model
+from ambrose.identification.output_error.loop_model import loop_model, timed
 from ambrose.identification.output_error.problem import FitOptions
 from ambrose.identification.parameters import nominal_values
 from ambrose.identification.validation import suspects as tried

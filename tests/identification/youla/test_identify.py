@@ -11,28 +11,24 @@ import pytest
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.core.frequency import frequency_response
-from ambrose.core.realisation.coprime import coprime_factors, injection_gain, observer_controller
+from ambrose.core.realisation import coprime_factors, injection_gain, observer_controller
 from ambrose.core.response import impulse_response, simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, is_stable, select
-from ambrose.identification.frf import spectral as frf
-from ambrose.identification.model_updating import update_machine
+from ambrose.identification import frf_spectral as frf
+from ambrose.identification import youla
 from ambrose.identification.output_error import closed_loop as whole_loop
-from ambrose.identification.parameters import nominal_values
-from ambrose.identification.youla import identify as youla
-from ambrose.identification.youla.impulse_response import finite_response
-from ambrose.identification.youla.residual_model import sampled_residual
+from ambrose.identification.parameters import nominal_values, update_machine
+from ambrose.identification.youla import finite_response, sampled_residual
 from ambrose.law.loop import closed_loop, match_controller
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import Tolerance
 from ambrose.machine.parameters import operating_point
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
-from ambrose.model.uncertainty import perturbed
+from ambrose.model.uncertainty import free_mode_reduction, perturbed
 from ambrose.record.record import Record
 from ambrose.rig import virtual_rig
-from ambrose.rig.disturbances import Prbs
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Prbs, Scenario
 from ambrose.synthesis.pid import pid_synthesis
 from whole_records import simulate_derivative
 

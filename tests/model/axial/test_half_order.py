@@ -7,8 +7,8 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
-from ambrose.model.axial import half_order as module
-from ambrose.model.axial.half_order import CORNER, core_constant, half_order, lags
+from ambrose.model import axial as module
+from ambrose.model.axial import CORNER, core_constant, half_order, lags
 
 
 def test_minus_three_decibels_and_fifteen_degrees_stand_together():

@@ -7,7 +7,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import poles
 from ambrose.machine.description import Amplifier
-from ambrose.machine.stator import Sensor
+from ambrose.machine.part import Sensor
 from ambrose.model.effects import amplifier, sensor
 
 AXES = ("A_zeta", "A_eta", "B_zeta")

@@ -12,7 +12,7 @@ import scipy.linalg as sla
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import BEAM_THEORIES, Amplifier
 from ambrose.machine.machine import Machine
-from ambrose.machine.rotor_model import ShaftSection
+from ambrose.machine.part import ShaftSection
 from ambrose.model.effects.beam import (
     area,
     beam_element,

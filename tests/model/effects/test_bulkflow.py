@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
 from ambrose.core.checks import InvalidInput, NumericalFailure
-from ambrose.machine.seals import Seal
+from ambrose.machine.part import Seal
 from ambrose.model.effects.bulkflow import (
     Friction,
     Gas,
@@ -21,9 +21,9 @@ from ambrose.model.effects.bulkflow import (
     air,
     bulk_flow,
     seal_table,
+    static_flow,
+    whirl_flow,
 )
-from ambrose.model.effects.bulkflow_static import static_flow
-from ambrose.model.effects.bulkflow_whirl import whirl_flow
 from ambrose.model.effects.seal import coefficients
 
 HZ = 2 * np.pi

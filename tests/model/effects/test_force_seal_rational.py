@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
-from ambrose.machine.seals import Seal, SealTable
+from ambrose.machine.part import Seal, SealTable
 from ambrose.model.effects import seal as constant
 from ambrose.model.effects.seal_rational import (
     force,

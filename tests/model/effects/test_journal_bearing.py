@@ -12,15 +12,13 @@ from ambrose.core.statespace import poles
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.model.assemble import assemble
-from ambrose.model.effects.journal_bearing import JournalBearing, coefficients
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
-from ambrose.model.reduce import free_mode_reduction
-from ambrose.model.uncertainty import perturbed
-from ambrose.rig.disturbances import SpeedChange, Unbalance
+from ambrose.model.effects.stations import JournalBearing, coefficients
+from ambrose.model.uncertainty import free_mode_reduction, perturbed
 from ambrose.rig.engine.equilibrium import linear_view, state_at_rest
 from ambrose.rig.engine.inputs import plan, stretch
 from ambrose.rig.engine.state import build
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Scenario, SpeedChange, Unbalance
 from pole_sets import matched
 
 MACHINE = """

@@ -9,8 +9,7 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import MagnetGeometry, MagneticBearing, MagnetIron
-from ambrose.model.effects.loaded_magnet import carrying, slopes, with_coefficients
-from ambrose.model.effects.magnet import force, parameters
+from ambrose.model.effects.magnet import carrying, force, parameters, slopes, with_coefficients
 
 GIVEN = MagneticBearing(
     "DE", 0.1, 4.0, force_per_current=(144.34, 139.44), negative_stiffness=(0.863e6, 0.871e6)

@@ -9,9 +9,9 @@ import pytest
 
 import ambrose as amb
 from ambrose.chain.check import insight
+from ambrose.machine.attachment import NEAR, finer, mesh, node_positions, stations
 from ambrose.machine.description import MachineDescription
-from ambrose.machine.mesh import NEAR, finer, mesh, node_positions, stations
-from ambrose.machine.rotor_model import BendingMode, Disc, Material, ShaftSection
+from ambrose.machine.part import BendingMode, Disc, Material, ShaftSection
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.rotor import finite_element_rotor, free_bending_frequencies, mesh_error
 

@@ -14,7 +14,7 @@ from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import BEAM_THEORIES, Amplifier
 from ambrose.machine.machine import Machine
-from ambrose.machine.rotor_model import BendingMode, Disc, Material, ShaftSection
+from ambrose.machine.part import BendingMode, Disc, Material, ShaftSection
 from ambrose.model.effects.rotor import (
     _strains,
     displacement_row,

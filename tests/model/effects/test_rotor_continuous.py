@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 
 from ambrose.machine.description import BEAM_THEORIES, Amplifier
 from ambrose.machine.machine import Machine
-from ambrose.machine.rotor_model import Disc, Material, ShaftSection
+from ambrose.machine.part import Disc, Material, ShaftSection
 from ambrose.model.effects.rotor import finite_element_rotor, free_bending_frequencies, plane_rows
 
 RHO = 7850.0

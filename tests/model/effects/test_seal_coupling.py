@@ -5,8 +5,8 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import Coupling
-from ambrose.machine.seals import Seal, SealTable
-from ambrose.model.effects import coupling
+from ambrose.machine.part import Seal, SealTable
+from ambrose.model.effects import stations as coupling
 from ambrose.model.effects.seal import SealCoefficients, coefficients, matrices
 
 CONSTANT = Seal("center", 0.4, K=1e5, k=4e5, C=200.0, c=30.0, M=0.5)

@@ -8,7 +8,7 @@ import pytest
 import ambrose as amb
 from ambrose.machine.description import Tolerance
 from ambrose.model.effect import ports_of
-from ambrose.model.effects.stage import STAGE, Stage, cross_coupling, rated_cross_coupling
+from ambrose.model.effects.stations import STAGE, Stage, cross_coupling, rated_cross_coupling
 from ambrose.model.uncertainty import perturbed
 
 RADIAL = Stage("wheel", 0.2, 300e3, 1000.0, 0.4, 0.02, 1.5)

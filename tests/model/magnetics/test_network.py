@@ -6,11 +6,19 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.magnet import Magnet
-from ambrose.model.magnetics.driven import bias_linearisation, linearity
-from ambrose.model.magnetics.iron import Froehlich, MeasuredCurve
-from ambrose.model.magnetics.kinds import heteropolar, magnet_of, three_pole, thrust
-from ambrose.model.magnetics.network import Branch, MagneticNetwork
+from ambrose.machine.part import Magnet
+from ambrose.model.magnetics import (
+    Branch,
+    Froehlich,
+    MagneticNetwork,
+    MeasuredCurve,
+    bias_linearisation,
+    heteropolar,
+    linearity,
+    magnet_of,
+    three_pole,
+    thrust,
+)
 
 MU_0 = 4e-7 * np.pi
 N, A, S, I_0 = 50, 4e-4, 0.5e-3, 4.0

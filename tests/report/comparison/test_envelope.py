@@ -12,28 +12,20 @@ import numpy as np
 import pytest
 
 from ambrose.core.statespace import StateSpace
-from ambrose.judge.checks import Check, Checks, Curve
+from ambrose.judge.checks import Check, Checks, Curve, box_label
 from ambrose.judge.result import Synthesis
-from ambrose.judge.verification import box_label
 from ambrose.machine.description import OperatingPoint, Operation
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
 from ambrose.record.record import Record
+from ambrose.report import comparison as comparison_figures
+from ambrose.report import comparison_tables, theme
 from ambrose.report import page as document
-from ambrose.report import theme
-from ambrose.report.comparison import figures as comparison_figures
-from ambrose.report.comparison import tables as comparison_tables
-from ambrose.report.comparison.envelope import (
-    decision,
-    envelope_section,
-    ratio_text,
-    shade_of,
-    share,
-)
-from ambrose.report.comparison.page import comparison_page
+from ambrose.report.comparison import comparison_page
+from ambrose.report.comparison_tables import decision, envelope_section, ratio_text, shade_of, share
 from ambrose.report.page import Cell, Table
-from ambrose.rig.candidate import Candidate, points_of
 from ambrose.rig.trace import Trace
+from ambrose.rig.trial import Candidate, points_of
 
 NAMES = ("tuned", "PID", "H-infinity", "mu", "mu, polished", "LPV", "commissioned")
 SPEEDS, PRESSURES = (0.0, 400.0, 900.0), (0.0, 2e5)

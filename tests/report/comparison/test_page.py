@@ -20,18 +20,17 @@ from ambrose.judge.result import Certificate, Synthesis
 from ambrose.law.design_problem import design_plant
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import reduce
+from ambrose.report import comparison as comparison_figures
+from ambrose.report import comparison_tables, theme
 from ambrose.report import page as document
-from ambrose.report import theme, units
-from ambrose.report.comparison import figures as comparison_figures
-from ambrose.report.comparison import tables as comparison_tables
-from ambrose.report.comparison.page import comparison_page
-from ambrose.report.figures.panels import Panel, panel_figure
+from ambrose.report import theme as units
+from ambrose.report.comparison import comparison_page
+from ambrose.report.figures.bode import Panel, panel_figure
 from ambrose.report.page import Cell, Page, Section, Table
-from ambrose.rig.candidate import SCENARIOS, Candidate, points_of
-from ambrose.rig.trial import simulate_linear
-from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.mu.synthesis import mu_synthesis
+from ambrose.rig.trial import SCENARIOS, Candidate, points_of, simulate_linear
+from ambrose.synthesis.hinf import hinf_synthesis
+from ambrose.synthesis.mu import mu_synthesis
 from ambrose.synthesis.pid import pid_synthesis
 
 POINTS = ("zero pressure", "nominal pressure", "twice nominal pressure")

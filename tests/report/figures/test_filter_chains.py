@@ -9,8 +9,8 @@ import ambrose as amb
 from ambrose.core.frequency import frequency_response
 from ambrose.judge.result import Synthesis
 from ambrose.law.pid import pid_controller
-from ambrose.machine.controller import MODES, Channel, PidSettings, Section
-from ambrose.report.figures.filter_chains import filter_figure
+from ambrose.machine.part import MODES, Channel, PidSettings, Section
+from ambrose.report.figures.bode import filter_figure
 
 HZ = 2 * np.pi
 EVERY = (

@@ -13,10 +13,10 @@ import pytest
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.checks import Checks, Curve
 from ambrose.machine.machine import Machine
-from ambrose.machine.rotor_model import Disc
+from ambrose.machine.part import Disc
 from ambrose.report import theme
 from ambrose.report.figures import curves as plots
-from ambrose.report.figures.poles import pole_figure
+from ambrose.report.figures.curves import pole_figure
 from ambrose.report.figures.rotor_drawing import equivalent_cylinder, rotor_drawing
 
 TWO_PI = 2 * np.pi

@@ -7,7 +7,7 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import StateSpace, transfer_function
-from ambrose.report.figures.poles import describe, pole_zero_map
+from ambrose.report.figures.curves import describe, pole_zero_map
 
 UNSTABLE = transfer_function(np.poly([-30.0]), np.poly([20.0, -25.0, -4000.0]))
 STABLE = transfer_function([1.0], np.poly([-10 + 40j, -10 - 40j]).real)

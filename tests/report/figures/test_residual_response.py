@@ -8,14 +8,13 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
-from ambrose.identification.youla import identify as youla
+from ambrose.identification import youla
 from ambrose.law.loop import closed_loop
 from ambrose.machine.description import Tolerance
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
-from ambrose.model.uncertainty import perturbed
+from ambrose.model.uncertainty import free_mode_reduction, perturbed
 from ambrose.record.record import Record
-from ambrose.report.figures.measured import residual_figure
+from ambrose.report.figures.bode import residual_figure
 from ambrose.synthesis.pid import pid_synthesis
 
 PATH = "bearing.A.negative_stiffness.zeta"

@@ -7,7 +7,7 @@ import numpy as np
 
 from ambrose.machine.attachment import attached, attachments
 from ambrose.machine.file.toml import load_machine
-from ambrose.model.effects.probe import Probe
+from ambrose.model.effects.stations import Probe
 from ambrose.report.figures.rotor_drawing import equivalent_cylinder, machine_drawing
 from ambrose.report.page import least_width
 

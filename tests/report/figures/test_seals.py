@@ -7,8 +7,8 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import FrequencyResponse
-from ambrose.identification.frf.spectral import Frf
-from ambrose.identification.seal.result import SealFit, averaged, line
+from ambrose.identification.frf_spectral import Frf
+from ambrose.identification.seal.by_pressure import SealFit, averaged, line
 from ambrose.report.figures import seals as seal_figures
 
 HZ = 2 * np.pi

@@ -12,28 +12,28 @@ from ambrose import load_machine
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
+from ambrose.identification import youla
 from ambrose.identification.findings import Code, Finding
 from ambrose.identification.pipeline import Provenance, identify
-from ambrose.identification.seal.by_pressure import SealByPressure
-from ambrose.identification.seal.result import SealFit, line
-from ambrose.identification.validation.agreement import compare
-from ambrose.identification.youla import identify as youla
+from ambrose.identification.seal.by_pressure import SealByPressure, SealFit, line
+from ambrose.identification.validation.plausibility import compare
 from ambrose.law.loop import closed_loop, match_controller
 from ambrose.machine.parameters import TIMING, quantities
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.record.record import Record
-from ambrose.report.identification.figures import (
+from ambrose.report.identification import (
     change_figure,
     correlation_figure,
     frf_figure,
+    identification_page,
+    parameters_table,
     residual_tests_figure,
     short,
     telling_records,
 )
-from ambrose.report.identification.page import identification_page, parameters_table
 from ambrose.report.page import render
-from ambrose.report.units import fixed
+from ambrose.report.theme import fixed
 from ambrose.synthesis.pid import pid_synthesis
 
 DT = 1e-4

@@ -9,9 +9,9 @@ from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.identification.findings import Code
 from ambrose.identification.pipeline import Provenance, identify
-from ambrose.identification.validation.agreement import compare
+from ambrose.identification.validation.plausibility import compare
 from ambrose.record.record import Record
-from ambrose.report.identification.static_load import line_figure, static_page, static_table
+from ambrose.report.identification import line_figure, static_page, static_table
 from ambrose.report.page import render
 
 RIG = load_machine("seal-rig")

@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 
 import ambrose as amb
-from ambrose.judge.certificate import certify
-from ambrose.judge.range_search import search
-from ambrose.judge.verdict import verify_controller, verify_ranges
+from ambrose.judge.result import certify
+from ambrose.judge.verdict import search, verify_controller, verify_ranges
+from ambrose.law.loop import Timing
 from ambrose.law.pid import pid_controller
-from ambrose.law.timing import Timing
 from ambrose.machine.description import OperatingPoint, OperatingRange
 from ambrose.model.assemble import assemble
-from ambrose.model.effects.journal_bearing import JournalBearing
-from ambrose.model.reduce import reduce
+from ambrose.model.effects.stations import JournalBearing
+from ambrose.model.uncertainty import reduce
 
 AREA = OperatingRange("running", (0.0, 600.0), (0.0, 0.5e5))
 

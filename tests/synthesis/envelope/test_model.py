@@ -10,9 +10,8 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import close_uncertainty
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
-from ambrose.model.uncertainty import perturbed
-from ambrose.synthesis.envelope_model import envelope_model
+from ambrose.model.uncertainty import free_mode_reduction, perturbed
+from ambrose.synthesis.order_selection import envelope_model
 
 OMEGA = np.geomspace(10, 5000, 12)
 POINTS = (OperatingPoint(label="rest"), OperatingPoint(600.0, 1.5e5, label="full"))

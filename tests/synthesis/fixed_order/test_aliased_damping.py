@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 
 from ambrose.core.aliasing import continuous_poles
-from ambrose.law.loop import closed_loop, running_law
+from ambrose.law.loop import Timing, closed_loop, running_law
 from ambrose.law.pid import pid_controller
-from ambrose.law.timing import Timing
 from ambrose.machine.file.toml import load_machine
 from ambrose.model.assemble import assemble
-from ambrose.synthesis.fixed_order.aims import aims_of
-from ambrose.synthesis.fixed_order.loops import loop_model
+from ambrose.synthesis.fixed_order.channels import aims_of, loop_model
 from ambrose.synthesis.fixed_order.objective import Objective
 from ambrose.synthesis.fixed_order.structure import axis_groups, structured
 

@@ -16,16 +16,15 @@ from click.testing import CliRunner
 import ambrose as amb
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
+from ambrose.law.loop import Timing
 from ambrose.law.pid import first_settings, pid_controller
-from ambrose.law.timing import Timing
-from ambrose.machine.controller import Channel, PidSettings, Section
+from ambrose.machine.part import Channel, PidSettings, Section
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import reduce
 from ambrose.synthesis import design
 from ambrose.synthesis.fixed_order import tuning
-from ambrose.synthesis.fixed_order.aims import aims_of
 from ambrose.synthesis.fixed_order.bank import at_limits, filter_bank, first_bank
-from ambrose.synthesis.fixed_order.loops import loop_model
+from ambrose.synthesis.fixed_order.channels import aims_of, loop_model
 from ambrose.synthesis.fixed_order.objective import Objective
 from ambrose.synthesis.fixed_order.tuning import tune_controller
 

@@ -7,7 +7,7 @@ from scipy.linalg import block_diag
 
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace
-from ambrose.synthesis.fixed_order.cost import block_form
+from ambrose.synthesis.fixed_order.polish import block_form
 from ambrose.synthesis.fixed_order.structure import structured
 
 OMEGA = np.geomspace(0.1, 1e4, 60)

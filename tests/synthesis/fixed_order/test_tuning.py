@@ -27,20 +27,22 @@ from ambrose.core.statespace import (
     static_gain,
 )
 from ambrose.judge import nominal
-from ambrose.judge.certificate import fastest_pole
-from ambrose.judge.result import Synthesis
-from ambrose.judge.sampled_box import sampled_box
-from ambrose.law.loop import match_controller
+from ambrose.judge.result import Synthesis, fastest_pole
+from ambrose.judge.sampled import sampled_box
+from ambrose.law.loop import Timing, machine_timing, match_controller
 from ambrose.law.pid import first_settings, pid_controller
-from ambrose.law.timing import Timing, machine_timing
 from ambrose.machine.description import Tolerance
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.rotor import free_modes
-from ambrose.model.reduce import reduce
-from ambrose.model.uncertainty import perturbed
+from ambrose.model.uncertainty import perturbed, reduce
 from ambrose.synthesis.fixed_order import tuning
-from ambrose.synthesis.fixed_order.aims import aims_of
-from ambrose.synthesis.fixed_order.channels import _by_samples
+from ambrose.synthesis.fixed_order.channels import (
+    _by_samples,
+    aims_of,
+    loop_model,
+    unwarped,
+    warped,
+)
 from ambrose.synthesis.fixed_order.job import (
     bending_modes_for,
     first_law,
@@ -48,8 +50,6 @@ from ambrose.synthesis.fixed_order.job import (
     prepare,
     with_states,
 )
-from ambrose.synthesis.fixed_order.loops import loop_model, unwarped, warped
-from ambrose.synthesis.fixed_order.members import worst_member
 from ambrose.synthesis.fixed_order.objective import (
     Objective,
     Ratio,
@@ -58,7 +58,7 @@ from ambrose.synthesis.fixed_order.objective import (
     together_below,
 )
 from ambrose.synthesis.fixed_order.structure import axis_groups, structured
-from ambrose.synthesis.fixed_order.tuning import tune_controller
+from ambrose.synthesis.fixed_order.tuning import tune_controller, worst_member
 
 MACHINE = amb.load_machine(Path(__file__).parent / "flexible_compressor.toml")
 RUNS = Timing(5e-5, 1)

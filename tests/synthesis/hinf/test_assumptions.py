@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.core.hinf.assumptions import check_assumptions
-from ambrose.core.hinf.riccati import normal_form, try_gamma
-from ambrose.core.hinf.scaling import scale_plant
+from ambrose.core.hinf_riccati import check_assumptions, normal_form, scale_plant, try_gamma
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import StateSpace
-from ambrose.synthesis.hinf.synthesis import hinf_synthesis
+from ambrose.synthesis.hinf import hinf_synthesis
 from random_plants import KINDS, random_plant
 
 

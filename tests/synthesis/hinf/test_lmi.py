@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.core.hinf.lmi import smallest_gamma
-from ambrose.core.hinf.scaling import scale_plant
+from ambrose.core.hinf_lmi import smallest_gamma
+from ambrose.core.hinf_riccati import scale_plant
 from ambrose.core.lft import GeneralizedPlant
-from ambrose.core.matrix_inequalities.semidefinite import smat, svec
+from ambrose.core.matrix_inequalities import smat, svec
 from ambrose.core.statespace import StateSpace
-from ambrose.synthesis.hinf.synthesis import hinf_synthesis
+from ambrose.synthesis.hinf import hinf_synthesis
 from random_plants import KINDS, random_plant
 
 

@@ -14,9 +14,9 @@ from ambrose.core.lft import GeneralizedPlant, lft
 from ambrose.core.matrix_equations import solve_riccati
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, spectral_abscissa, static_gain
-from ambrose.judge.certificate import generalized_certificate
-from ambrose.synthesis.hinf import synthesis as hinf
-from ambrose.synthesis.hinf.synthesis import hinf_synthesis
+from ambrose.judge.result import generalized_certificate
+from ambrose.synthesis import hinf
+from ambrose.synthesis.hinf import hinf_synthesis
 from random_plants import KINDS, random_plant
 
 

@@ -9,11 +9,11 @@ import pytest
 import scipy.linalg as sla
 
 from ambrose.core.checks import NumericalFailure
-from ambrose.core.hinf.scaling import scale_plant, unavoidable
+from ambrose.core.hinf_riccati import scale_plant, unavoidable
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import StateSpace
-from ambrose.synthesis.hinf import synthesis as module
-from ambrose.synthesis.hinf.synthesis import hinf_synthesis
+from ambrose.synthesis import hinf as module
+from ambrose.synthesis.hinf import hinf_synthesis
 from random_plants import random_plant
 
 

@@ -42,20 +42,24 @@ from ambrose.core.statespace import (
 from ambrose.law.design_problem import design_plant, with_performance_block
 from ambrose.machine.parameters import operating_point
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import reduce
-from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.mu.d_fit import RealRational, fit_magnitude
-from ambrose.synthesis.mu.d_step import d_blocks, d_step, fit_scaling
-from ambrose.synthesis.mu.matrix_fit import fit_matrix
-from ambrose.synthesis.mu.refine import peak_gain, refine
-from ambrose.synthesis.mu.scaling import (
+from ambrose.model.uncertainty import reduce
+from ambrose.synthesis.hinf import hinf_synthesis
+from ambrose.synthesis.mu import mu_synthesis
+from ambrose.synthesis.mu_scalings import (
     BlockScaling,
+    RealRational,
     Scaling,
+    d_blocks,
+    d_step,
+    fit_magnitude,
+    fit_matrix,
+    fit_scaling,
+    peak_gain,
+    refine,
     scalar_scaling,
     scaled_loop,
     scaled_plant,
 )
-from ambrose.synthesis.mu.synthesis import mu_synthesis
 
 OMEGA = np.geomspace(1e-3, 1e4, 90)
 
@@ -464,7 +468,7 @@ def test_failing_step_and_time_limit_return_what_there_is(monkeypatch):
             raise NumericalFailure("no luck")
         return original(*args, **kwargs)
 
-    monkeypatch.setattr("ambrose.synthesis.mu.synthesis.hinf_synthesis", failing)
+    monkeypatch.setattr("ambrose.synthesis.mu.hinf_synthesis", failing)
     result = mu_synthesis(toy(1.0, 1.0))
     assert result.stopped_early == "after iteration 0, no luck"
     assert result.certificate.stable

@@ -2,6 +2,6 @@
 
 ANNEX = {
     "research command": {"campaign": "command:campaign"},
-    "public": {"campaign": "front_door", "Campaign": "result"},
-    "page": {"Campaign": "page:campaign_page"},
+    "public": {"campaign": "result", "Campaign": "result"},
+    "page": {"Campaign": "result:campaign_page"},
 }

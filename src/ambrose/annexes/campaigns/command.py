@@ -56,11 +56,9 @@ def campaign(
     rows.jsonl, table.csv, results.nc (with xarray) and report.html in the folder. Exit status 1: a
     case has no values, is unstable or does not pass.
     """
-    from ambrose.annexes.campaigns.page import counts
     from ambrose.annexes.campaigns.plan import read_plan
-    from ambrose.annexes.campaigns.result import read_campaign
-    from ambrose.annexes.campaigns.run import run_plan
-    from ambrose.annexes.campaigns.workers import executors
+    from ambrose.annexes.campaigns.result import counts, read_campaign
+    from ambrose.annexes.campaigns.run import executors, run_plan
     from ambrose.core.processes import processors
     from ambrose.report.page import page_of, write
 
@@ -123,12 +121,12 @@ def _case_pages(result: Any, folder: Path, most: int, progress: Any) -> tuple[An
     """Pages of the worst cases, those that are there kept. Returns the machine of the plan's first
     case and their keys.
     """
-    from ambrose.annexes.campaigns.case import subject
-    from ambrose.annexes.campaigns.page import case_page
+    from ambrose.annexes.campaigns.plan import subject
+    from ambrose.annexes.campaigns.result import case_page
     from ambrose.annexes.campaigns.run import bases_of, fixed_of
     from ambrose.core.checks import AmbroseError
-    from ambrose.machine.atomic_write import make_folder
     from ambrose.machine.file.toml import load_machine
+    from ambrose.machine.ordinary_file import make_folder
     from ambrose.report.page import write
 
     plan = result.plan

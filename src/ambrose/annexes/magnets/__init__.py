@@ -5,5 +5,5 @@ the force law is, what a lost coil leaves.
 ANNEX = {
     "design command": {"magnet": "command:magnet_command"},
     "public": {"magnet_sheets": "analysis"},
-    "page": {"MagnetSheets": "page:magnet_page"},
+    "page": {"MagnetSheets": "analysis:magnet_page"},
 }

@@ -57,7 +57,7 @@ def magnet_command(
     if as_json:
         say_json(result.to_dict())
     else:
-        from ambrose.annexes.magnets.page import sheet_rows
+        from ambrose.annexes.magnets.analysis import sheet_rows
 
         for sheet in result.sheets:
             print_table(

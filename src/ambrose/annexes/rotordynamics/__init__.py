@@ -9,5 +9,5 @@ ANNEX = {
     },
     "public": {"lateral": "analysis", "compare": "comparison"},
     "page": {"Lateral": "page:lateral_page"},
-    "study file": {"lateral analysis": "in_study:write_lateral"},
+    "study file": {"lateral analysis": "analysis:write_lateral"},
 }

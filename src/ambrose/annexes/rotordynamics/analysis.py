@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
 
 from ambrose.annexes.rotordynamics import items as rows
-from ambrose.annexes.rotordynamics import points, standard
-from ambrose.annexes.rotordynamics.block_on import with_blocks
-from ambrose.annexes.rotordynamics.capacity import capacities
-from ambrose.annexes.rotordynamics.circuit import circuit_change
-from ambrose.annexes.rotordynamics.clearances import largest_reading, rubs
+from ambrose.annexes.rotordynamics import standard
+from ambrose.annexes.rotordynamics.capacity import (
+    binding,
+    capacities,
+    circuit_change,
+    unbalance_demands,
+    unbalance_limits,
+)
 from ambrose.annexes.rotordynamics.critical_map import critical_map
-from ambrose.annexes.rotordynamics.level_one import LevelOne, sweep
-from ambrose.annexes.rotordynamics.level_two import shares
-from ambrose.annexes.rotordynamics.loop import ShaftLoop, shaft_loop
-from ambrose.annexes.rotordynamics.phase_budget import free_bending, phase_budgets
+from ambrose.annexes.rotordynamics.items import largest_reading, rubs
+from ambrose.annexes.rotordynamics.levels import LevelOne, shares, sweep
+from ambrose.annexes.rotordynamics.loop import ShaftLoop, free_bending, phase_budgets, shaft_loop
 from ambrose.annexes.rotordynamics.placement import (
     ShaftMode,
     UnbalanceCase,
@@ -26,25 +31,425 @@ from ambrose.annexes.rotordynamics.placement import (
     shaft_modes,
     span_middle,
 )
-from ambrose.annexes.rotordynamics.reach import reach
-from ambrose.annexes.rotordynamics.response import respond
-from ambrose.annexes.rotordynamics.result import Item, Lateral, ModeRow
+from ambrose.annexes.rotordynamics.response import Response, Solve, reach, respond
+from ambrose.annexes.rotordynamics.result import OWN, Item, Lateral, ModeRow
 from ambrose.annexes.rotordynamics.stations import Layout, lay_out, rigid_support_critical
-from ambrose.annexes.rotordynamics.tolerances import least_decrements
 from ambrose.chain.check import clearance_doubts
-from ambrose.core.arguments import names_wrong_types
-from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
-from ambrose.judge.stability import judge_stability
-from ambrose.law.law import LawLike, law_of
-from ambrose.law.timing import Timing, timing_of
+from ambrose.core.checks import InvalidInput, NumericalFailure, invalid, names_wrong_types
+from ambrose.judge.checks import Check, Checks
+from ambrose.judge.nominal import check_sensitivity
+from ambrose.judge.plants import Progress, judge_stability
+from ambrose.judge.result import Synthesis
+from ambrose.judge.synchronous import VANISHED, BlockLoop, block_loops, check_block
+from ambrose.judge.unbalance import together
+from ambrose.law.law import Law, LawLike, law_of
+from ambrose.law.loop import Timing, running_law, timing_of
+from ambrose.law.synchronous import at_bearings
 from ambrose.machine.attachment import attached
-from ambrose.machine.axial import across_the_shaft
+from ambrose.machine.criteria import SENSITIVITY, SENSITIVITY_RANGE
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.machine import Machine
+from ambrose.machine.machine import Machine, across_the_shaft
+from ambrose.machine.ordinary_file import write_json
 from ambrose.machine.parameters import operating_point
-from ambrose.model.effects.journal_bearing import JournalBearing
-from ambrose.model.effects.stage import Stage, rated_cross_coupling
-from ambrose.model.separation import running_range
+from ambrose.model.assemble import assemble
+from ambrose.model.effects.stations import JournalBearing, Stage, rated_cross_coupling
+from ambrose.model.static_load import magnet_coefficients, running_range
+from ambrose.model.uncertainty import perturbed
+from ambrose.report.page import page_of, write
+
+# Stability and sensitivity at every operating point of the machine file: what is cheap enough to
+# judge everywhere, as ``ambrose.verify`` judges it. Of each the worst point is a row.
+
+
+REST = (
+    "Judged at every operating point of the machine file: stability and sensitivity, without "
+    "tolerances. ambrose verify judges the rest there: orbits, currents, forces, voltages and "
+    "margins, and all of it over the tolerances."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Points:
+    """The checks of each operating point, and the labels of those that the law does not cover."""
+
+    judged: tuple[Checks, ...]
+    uncovered: tuple[str, ...] = ()
+
+
+def judge_sensitivity(
+    machine: Machine, loop: ShaftLoop, given: LawLike, timing: Timing | None
+) -> Points:
+    """All operating points that the law covers; loop: at the one of the analysis, which counts even
+    where it is none of the machine file's.
+    """
+    law = law_of(given)
+    points, own = list(machine.operation.envelope), loop.plant.point
+    if own not in [replace(point, label=own.label) for point in points]:
+        points.append(own)
+    judged: list[Checks] = []
+    uncovered: list[str] = []
+    for point in points:
+        plant = assemble(machine, point)
+        if law.covers(plant):
+            judged.append(check_sensitivity(plant, running_law(law, plant, timing)))
+        else:
+            uncovered.append(point.label or f"{standard.rpm(point.speed)} rpm")
+    return Points(tuple(judged), tuple(uncovered))
+
+
+def point_rows(points: Points, machine: Machine) -> Iterator[Item]:
+    """Stability and sensitivity, the worst operating point of each."""
+    judged = points.judged
+    if points.uncovered:
+        labels = ", ".join(points.uncovered)
+        yield Item(
+            "points.covered",
+            "Operating points that the controller does not cover",
+            "Ambrose",
+            "stability of the loop as it runs",
+            OWN,
+            float(len(points.uncovered)),
+            "-",
+            "<=",
+            0.0,
+            False,
+            f"not judged at {labels}: outside the range of the controller's schedule",
+        )
+    if not judged:
+        return
+    several = f"worst of {len(judged)} operating points: " if len(judged) > 1 else "at "
+
+    def row(
+        name: str,
+        title: str,
+        of: tuple[str, ...],
+        edition: str,
+        clause: str,
+        basis: str = OWN,
+        most: float = math.inf,
+        more: str = "",
+    ) -> Iterator[Item]:
+        found = [
+            (item, checks.label) for checks in judged for item in checks.checks if item.name in of
+        ]
+        if not found:
+            return
+        worst, where = max(found, key=lambda pair: _severity(pair[0]))
+        limit = worst.limit if worst.limit is None else min(worst.limit, most)
+        if limit is None and math.isfinite(most):
+            limit = most
+        axis = worst.name.rpartition(".")[2]
+        place = f"axis {axis}, " if axis in machine.axes else ""
+        yield Item(
+            name,
+            f"{title}, {several}{where}",
+            edition,
+            clause,
+            basis,
+            worst.value,
+            "1/s" if worst.unit == "rad/s" else worst.unit,
+            worst.relation,
+            limit,
+            None if limit is None else _meets(worst.value, worst.relation, limit),
+            f"{place}{worst.detail}{_others(found, where)}{more}",
+        )
+
+    axes = tuple(f"sensitivity.output.{axis}" for axis in machine.axes)
+    zone = SENSITIVITY.limits[0].value
+    upto = SENSITIVITY_RANGE.limits[0].value / (2 * np.pi)
+    lost = [checks.label for checks in judged if not checks.stable]
+    unstable = f"; none at {', '.join(lost)}, where the loop is unstable" if lost else ""
+    yield from row(
+        "points.stability",
+        "Largest real part of the poles",
+        ("stability.abscissa",),
+        "Ambrose",
+        "stability of the loop as it runs",
+    )
+    yield from row(
+        "iso.sensitivity",
+        "Peak sensitivity of a control axis",
+        axes,
+        standard.ISO_3,
+        "zone A, or the machine file's sensitivity_peak where that is less",
+        "checked",
+        zone,
+        f"; up to {upto:.4g} Hz or three times the speed{unstable}",
+    )
+    yield from row(
+        "points.sensitivity_max",
+        "Peak sensitivity, maximum singular value",
+        ("sensitivity.output.max",),
+        "Machine file",
+        "sensitivity_peak, asked of all axes together",
+        more=unstable,
+    )
+
+
+def _severity(check: Check) -> float:
+    """The larger the worse; what is not known is the worst."""
+    if math.isnan(check.value):
+        return math.inf
+    return -check.value if check.relation.startswith(">") else check.value
+
+
+def _meets(value: float, relation: str, limit: float) -> bool:
+    if relation == "<":
+        return value < limit
+    return value >= limit if relation == ">=" else value <= limit
+
+
+def _others(found: list[tuple[Check, str]], worst: str) -> str:
+    """The worst value of every other operating point."""
+    best: dict[str, Check] = {}
+    for check, label in found:
+        if label not in best or _severity(check) > _severity(best[label]):
+            best[label] = check
+    words = [f"{label} {check.value:.4g}" for label, check in best.items() if label != worst]
+    return f"; at the others {', '.join(words)}" if words else ""
+
+
+# The least log decrement of each mode over the tolerances, found by a search: every tolerance at
+# both its ends, then the corner to which all of them pull together.
+#
+# A search finds a member, it proves nothing about the others.
+
+
+def least_decrements(loop: ShaftLoop, table: tuple[ModeRow, ...]) -> tuple[ModeRow, ...]:
+    """The rows with the least log decrement found and the member that has it."""
+    names = [tolerance.parameter for tolerance in loop.plant.machine.tolerances]
+    members = [{name: side} for name in names for side in (-1.0, 1.0)]
+    found = [dict[str, float]() for _ in table]
+    best = [(row.mode.log_decrement, "nominal") for row in table]
+    slopes = np.zeros((len(table), len(names)))
+    for k, member in enumerate(members):
+        moved = _moved(loop, member)
+        if moved is None:
+            continue
+        for j, row in enumerate(table):
+            value = _decrement(moved, row)
+            if value is None:
+                continue
+            (name,) = member
+            slopes[j, k // 2] += value * member[name]
+            if value < best[j][0]:
+                best[j] = (value, f"{name} {member[name]:+g}")
+    for j, row in enumerate(table):
+        corner = {
+            name: float(-np.sign(slope))
+            for name, slope in zip(names, slopes[j], strict=True)
+            if slope
+        }
+        found[j] = corner
+        moved = _moved(loop, corner) if corner else None
+        value = None if moved is None else _decrement(moved, row)
+        if value is not None and value < best[j][0]:
+            words = ", ".join(f"{name} {side:+g}" for name, side in corner.items())
+            best[j] = (value, words)
+    return tuple(
+        replace(row, least=float(value), member=words)
+        for row, (value, words) in zip(table, best, strict=True)
+    )
+
+
+def _moved(loop: ShaftLoop, member: dict[str, float]) -> ShaftLoop | None:
+    """The loop with parameters moved within their tolerances; None where one does not hold around
+    this point.
+    """
+    try:
+        plant = perturbed(loop.plant, member)
+    except InvalidInput:
+        return None
+    system = plant.system
+    if system.n_states != len(loop.A):
+        return None
+    u = [system.inputs.index(name) for name in plant.named("u")]
+    y = [system.outputs.index(name) for name in plant.named("y")]
+    return replace(loop, plant=plant, A=system.A, B=system.B[:, u], C=system.C[y])
+
+
+def _decrement(loop: ShaftLoop, row: ModeRow) -> float | None:
+    try:
+        pole, _ = loop.mode_near(row.mode.pole, row.mode.states)
+    except NumericalFailure:
+        return None
+    if not pole.imag:
+        return None
+    return float(-2 * np.pi * pole.real / abs(pole.imag))
+
+
+# The machine with its synchronous blocks on: the unbalance response with each block converged, and
+# what ``ambrose verify`` says of the block.
+#
+# The block adds c to the error, u = -K (y - c), and once it has converged c = D z, or z = 0 where
+# it does not leak (law/synchronous.py). With the states under the forces and c, both linear,
+#
+#     x = T(s)^-1 (f + B (I + K D_p)^-1 K c),    z = z_f + Z c,
+#     c = -Z^-1 z_f,    of a block that leaks    c = (I - D Z)^-1 D z_f.
+#
+# A block at another multiple of the speed leaves the response to unbalance as it is.
+
+
+def with_blocks(
+    machine: Machine,
+    law: Law,
+    sampled: tuple[float | None, int | None],
+    off: Response,
+    loop_at: Callable[[float], ShaftLoop],
+    speeds: tuple[float, float, float],
+    scale: float,
+    through: Sequence[float],
+    progress: Callable[[str], None],
+) -> Iterator[Item]:
+    """Rows of every block of the controller's file, else of the machine's, on; none without one.
+
+    sampled: rate [Hz] and delay [samples] as stated; off: the response without blocks; speeds
+    [rad/s]: running range and trip; scale: of the clearances; through: see ``respond``.
+    """
+    settings = machine.controller
+    blocks = law.synchronous or (() if settings is None else settings.synchronous)
+    if not blocks:
+        return
+    try:
+        items = block_loops(machine, law, blocks, *sampled)
+    except InvalidInput as error:
+        yield _undone("synchronous", f"synchronous blocks: {error}")
+        return
+    for k, item in enumerate(items, 1):
+        name = f"synchronous.{k}"
+        words = f", {item.label} on"
+        progress(f"unbalance response with the {item.label}")
+        found = [*_unbalance(item, off, loop_at, speeds, scale, through, words)]
+        try:
+            found += _judged(item, words, progress)
+        except InvalidInput as error:
+            found.append(_undone("stability", f"{item.label}: {error}"))
+        yield from (replace(row, name=f"{name}.{row.name}") for row in found)
+
+
+def _undone(name: str, why: str) -> Item:
+    return Item(
+        name,
+        "Machine with its synchronous blocks on",
+        "Ambrose",
+        "synchronous block",
+        OWN,
+        None,
+        "-",
+        passed=False,
+        note=f"not judged, {why}",
+    )
+
+
+def _judged(item: BlockLoop, words: str, progress: Callable[[str], None]) -> Iterator[Item]:
+    """What verify says of the block: convergence, gain, sensitivity with it on."""
+    checks = check_block(item, progress)
+    if not checks.stable:
+        yield _undone("stability", f"{item.label}: {' '.join(checks.notes)}")
+    for check in checks.checks:
+        yield Item(
+            check.name.removeprefix("synchronous."),
+            f"{check.title}{words}",
+            "Ambrose",
+            "synchronous block, as ambrose verify judges it",
+            OWN,
+            check.value,
+            check.unit,
+            check.relation or "<=",
+            check.limit,
+            check.passed,
+            check.detail,
+        )
+
+
+def _unbalance(
+    item: BlockLoop,
+    off: Response,
+    loop_at: Callable[[float], ShaftLoop],
+    speeds: tuple[float, float, float],
+    scale: float,
+    through: Sequence[float],
+    words: str,
+) -> Iterator[Item]:
+    """Critical speeds, vibration, clearances and capacity within the block's band."""
+    lowest, highest, trip = speeds
+    low = max(item.block.band[0], float(off.speeds[0]))
+    high = min(item.block.band[1], float(off.speeds[-1]))
+    if item.loop.harmonic != 1 or low >= high:
+        return
+    response = respond(
+        off.layout, loop_at, off.cases, low, high, through=(*through, trip), solve=_solve(item)
+    )
+    yield from rows.criticals_of(response, lowest, highest, words)
+    if low <= highest and high >= lowest:
+        ends = max(low, lowest), min(high, highest)
+        reading = largest_reading(response, *ends)
+        yield rows.vibration(reading, *ends, words, highest)
+    if low < trip:
+        below = response.upto(trip)
+        yield from rows.clearances(rubs(below, scale), words)
+        yield _capacity(loop_at(highest), below, words)
+
+
+def _capacity(loop: ShaftLoop, response: Response, words: str) -> Item:
+    """The least margin of unbalance of all axes."""
+    axes = loop.plant.machine.axes
+    worst, axis = min(
+        (
+            (together(limits, demand, ())[0], axes[a])
+            for a, limits in enumerate(unbalance_limits(loop))
+            for demand in unbalance_demands(loop, response, a, "at the end of the band")
+        ),
+        key=lambda row: row[0].value,
+    )
+    asked = worst.value < np.inf
+    return Item(
+        "capacity.unbalance",
+        f"Load capacity divided by the demand of unbalance{words}",
+        standard.EDITION,
+        "annex E, load capacity",
+        OWN,
+        worst.value if asked else None,
+        "-",
+        ">=",
+        1.0 if asked else None,
+        worst.value >= 1.0,
+        f"axis {axis}: {binding(worst)}" if asked else "the block leaves no current to carry",
+    )
+
+
+def _solve(item: BlockLoop) -> Solve:
+    """States and currents with the block converged."""
+
+    def solve(loop: ShaftLoop, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        s = 1j * loop.point.speed
+        K = loop.gain(s)
+        inner = np.linalg.solve(np.eye(len(K)) + K @ loop.D, K)
+        x_f = loop.states(s, forces)
+        x_c = np.linalg.solve(loop.matrix(s), loop.B @ inner)
+        # u = -(I + K D)^-1 K (C x - c),   y = C x + D u,   i
+        u_f, u_c = -inner @ loop.C @ x_f, -inner @ (loop.C @ x_c - np.eye(len(K)))
+        i_f, i_c = loop.coil(x_f, u_f), loop.coil(x_c, u_c)
+        z_f, Z = loop.C @ x_f + loop.D @ u_f, loop.C @ x_c + loop.D @ u_c
+        if item.mode == "current-free":
+            Z = Z - np.eye(len(K))
+        elif item.mode == "force-free":
+            machine = loop.plant.machine
+            k_i, k_s = magnet_coefficients(machine, loop.point)
+            z_f, Z = (
+                at_bearings(machine) @ y + (k_i / k_s)[:, None] * i
+                for y, i in ((z_f, i_f), (Z, i_c))
+            )
+        if item.gain is None:
+            c = np.linalg.solve(Z, -z_f)
+        else:
+            D = item.gain(loop.point.speed)
+            c = np.linalg.solve(np.eye(len(D)) - D @ Z, D @ z_f)
+        i = i_f + i_c @ c
+        return x_f + x_c @ c, np.where(np.abs(i) <= VANISHED * np.abs(i_f), 0.0, i)
+
+    return solve
+
 
 TRIP = 1.05  # times the maximum continuous speed, where nothing is said
 _LOOPS = 64  # kept by speed
@@ -204,10 +609,8 @@ def lateral(
             )
         )
         progress("sensitivity at every operating point")
-        everywhere = tuple(
-            points.rows(points.judge_sensitivity(machine, at_top, law, timing), machine)
-        )
-        notes = (*notes, points.REST)
+        everywhere = tuple(point_rows(judge_sensitivity(machine, at_top, law, timing), machine))
+        notes = (*notes, REST)
     items = (
         *rows.undamped(undamped),
         rows.reached(far, whole, highest),
@@ -401,3 +804,21 @@ def _stations_of_coupling(layout: Layout, stages: list[Stage]) -> list[int]:
     if stages and len(overhung) == len(stages):
         return sorted({layout.nearest(stage.position) for stage in overhung})
     return [span_middle(layout)]
+
+
+# What a study leaves of the lateral analysis: ``lateral.html`` and ``lateral.json``.
+
+
+def write_lateral(
+    machine: Machine, synthesis: Synthesis, directory: Path, progress: Progress
+) -> None:
+    """The analysis of a machine under the study's best controller; nothing where it never turns.
+
+    Raises InvalidInput where it cannot be done or written, NumericalFailure as ``lateral`` does.
+    """
+    if not any(point.speed > 0 for point in machine.operation.envelope):
+        return
+    progress("lateral analysis")
+    result = lateral(machine, synthesis)
+    write_json(directory / "lateral.json", dict(result.to_dict()), "lateral analysis")
+    write(page_of(result), directory / "lateral.html")

@@ -219,6 +219,6 @@ def value_in_words(item: Item) -> str:
 
 
 def _write(result: Any, path: Path) -> None:
-    from ambrose.machine.atomic_write import write_json
+    from ambrose.machine.ordinary_file import write_json
 
     write_json(path, dict(result.to_dict()), "lateral analysis")

@@ -8,25 +8,348 @@ none further away than ``NEAR``.
 
 from __future__ import annotations
 
+import json
 import math
+import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
-from ambrose.annexes.rotordynamics.json_schema import lateral_schema
 from ambrose.annexes.rotordynamics.placement import BACKWARD
 from ambrose.annexes.rotordynamics.result import SCHEMA, Lateral
 from ambrose.annexes.rotordynamics.standard import MODES_TO, RPM, rpm
-from ambrose.annexes.rotordynamics.their_table import TheirRow, read_table
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.presentation import Presented, data_frame
-from ambrose.machine.json_text import check_form, parse_json
-from ambrose.machine.messages import shown
-from ambrose.machine.ordinary_file import read_text
+from ambrose.machine.file.stations import Column, NamedTable, named_table
+from ambrose.machine.ordinary_file import check_form, parse_json, read_text
+from ambrose.machine.units import quoted, shown
+
+# Another code's results, or measured ones, as a table: CSV with a row of names first.
+#
+#    kind;     speed [rpm]; amplitude [um p-p]; amplification [-]; log_decrement [-]; whirl;   probe
+#    critical; 5230;        34.1;               6.2;               ;                  ;        VE1
+#    mode;     5411;        ;                   ;                  0.34;              forward;
+#    response; 9000;        12.0;               ;                  ;                  ;        VE1
+#
+# ``critical``: a peak of the unbalance response; ``mode``: a damped natural frequency;
+# ``response``: an amplitude at a speed. Columns stand in any order; but for kind and speed they may
+# be missing.
+
+
+KINDS = ("critical", "mode", "response")
+WHIRLS = ("forward", "backward", "planar")
+_EXAMPLE = "kind; speed [rpm]; amplitude [um p-p]; log_decrement [-]"
+_COLUMNS = {  # name -> other names
+    "kind": (),
+    "speed": ("frequency", "rpm"),
+    "amplitude": ("response",),
+    "amplification": ("af", "amplification_factor"),
+    "log_decrement": ("logdec", "log decrement", "log dec"),
+    "damping_ratio": ("damping ratio", "zeta"),
+    "whirl": ("direction",),
+    "probe": ("reading",),
+    "case": ("placement",),
+    "label": ("name",),
+}
+_WORDS = ("kind", "whirl", "probe", "case", "label")
+_PEAKS = {"p-p": 1.0, "pp": 1.0, "pk-pk": 1.0, "0-p": 2.0, "0-pk": 2.0}
+
+
+@dataclass(frozen=True, slots=True)
+class TheirRow:
+    """One row: speed [rad/s], amplitude peak to peak [m]; None or "" where it says nothing."""
+
+    kind: str
+    speed: float
+    amplitude: float | None = None
+    amplification: float | None = None
+    log_decrement: float | None = None
+    whirl: str = ""
+    probe: str = ""
+    case: str = ""
+    label: str = ""
+
+
+def read_table(text: str, name: str) -> tuple[TheirRow, ...]:
+    """The rows of a CSV text; ``name`` stands in messages. Raises InvalidInput."""
+    try:
+        table = named_table(text, _COLUMNS, _WORDS, required=("kind", "speed"), example=_EXAMPLE)
+        for column in table.columns:
+            if column.kind not in _WORDS:
+                _si(column, 1.0)  # its unit, before any row
+    except InvalidInput as error:
+        raise InvalidInput(f"{name}: {error}") from None
+    return tuple(_row(f"{name}, line {line}", table, cells) for line, cells in table.rows)
+
+
+def _si(column: Column, number: float) -> float:
+    """In SI, amplitudes peak to peak: 0-p counts twice. Raises InvalidInput."""
+    if column.kind == "speed":
+        unit = column.unit or ("rpm" if column.word == "rpm" else "")
+        return replace(column, unit=unit).si(number, "angular rate", "rpm")
+    if column.kind != "amplitude":
+        return column.si(number, "ratio", "-")
+    length, _, peak = column.unit.rpartition(" ")
+    if peak not in _PEAKS:
+        raise InvalidInput(
+            f'the unit of amplitude is "{column.unit}", but must say whether it is peak to peak or '
+            'zero to peak; write "amplitude [um p-p]" or "amplitude [um 0-p]"'
+        )
+    return replace(column, unit=length).si(number, "length", "um p-p") * _PEAKS[peak]
+
+
+def _row(where: str, table: NamedTable, cells: Mapping[Column, str]) -> TheirRow:
+    words = {column.kind: cell for column, cell in cells.items() if column.kind in _WORDS}
+    try:
+        values = {
+            column.kind: _si(column, table.number(column, cell))
+            for column, cell in cells.items()
+            if column.kind not in _WORDS
+        }
+    except InvalidInput as error:
+        raise InvalidInput(f"{where}: {error}") from None
+    kind = words.get("kind", "").lower()
+    if kind not in KINDS:
+        raise InvalidInput(
+            f"{where}: kind is {quoted(words.get('kind', ''))}, but must be one of "
+            f"{', '.join(KINDS)}; correct the row"
+        )
+    whirl = words.get("whirl", "").lower()
+    if whirl and whirl not in WHIRLS:
+        raise InvalidInput(
+            f"{where}: whirl is {quoted(whirl)}, but must be one of {', '.join(WHIRLS)}; correct "
+            "the row, or leave it empty"
+        )
+    if values.get("speed", 0.0) <= 0:
+        raise InvalidInput(f"{where}: it needs a speed above 0; give one, or leave the row out")
+    for column in ("amplitude", "amplification"):
+        if values.get(column, 0.0) < 0:
+            raise InvalidInput(
+                f"{where}: {column} is negative, but must be at least 0; correct it, or leave the "
+                "cell empty"
+            )
+    if kind == "response" and not values.get("amplitude"):
+        raise InvalidInput(f"{where}: a response needs an amplitude; give one, or drop the row")
+    damping = values.get("damping_ratio")
+    decrement = values.get("log_decrement")
+    if damping is not None and decrement is None:
+        if not abs(damping) < 1:
+            raise InvalidInput(
+                f"{where}: damping_ratio is {damping:g}, but must lie below 1; give it as a share "
+                "of critical damping, or with [%]"
+            )
+        # delta = 2 pi zeta/sqrt(1 - zeta^2)
+        decrement = 2 * math.pi * damping / math.sqrt(1 - damping**2)
+    return TheirRow(
+        kind,
+        values["speed"],
+        values.get("amplitude"),
+        values.get("amplification"),
+        decrement,
+        whirl,
+        words.get("probe", ""),
+        words.get("case", ""),
+        words.get("label", ""),
+    )
+
+
+# The JSON schema of ``lateral.json``, for programs that read it.
+#
+# python -m ambrose.annexes.rotordynamics.comparison docs/lateral.schema.json
+
+
+_NUMBER = {"type": "number"}
+_POSITIVE = {"type": "number", "exclusiveMinimum": 0}
+_SIZE = {"type": "number", "minimum": 0}
+_TEXT = {"type": "string"}
+_MAYBE = {"type": ["number", "null"]}
+# infinite and unknown values are text: "inf", "nan"
+_ANY_NUMBER = {"type": ["number", "string"]}
+_VERDICT = {"type": ["boolean", "null"]}
+
+
+def lateral_schema() -> dict[str, Any]:
+    """The schema (draft 2020-12): keys carry their units, amplitudes 0p or pp."""
+    item = _table(
+        name=_TEXT,
+        title=_TEXT,
+        standard=_TEXT,
+        clause=_TEXT,
+        basis={"enum": ["checked", "recalled", "own"]},
+        value={"type": ["number", "string", "null"]},
+        unit=_TEXT,
+        relation={"enum": ["<=", ">=", "<", ">"]},
+        limit={"type": ["number", "string", "null"]},
+        passed=_VERDICT,
+        note=_TEXT,
+        bound={"enum": ["", ">"], "description": ">: the value is more than the one given"},
+    )
+    mode = _table(
+        frequency_rad_per_s=_SIZE,
+        log_decrement=_NUMBER,
+        judged={"type": "boolean", "description": "false: above the running speed"},
+        whirl={**_NUMBER, "description": "1: forward circles, -1: backward ones"},
+        shares={"type": "object", "additionalProperties": _NUMBER},
+        least_over_tolerances_found=_MAYBE,
+        at=_TEXT,
+    )
+    clearance = _table(
+        name=_TEXT,
+        kind={"enum": ["touchdown", "seal", "clearance", "magnet"]},
+        position_m=_NUMBER,
+        diametral_m=_NUMBER,
+        motion_m_pp={**_NUMBER, "description": "scaled"},
+        offset_m=_NUMBER,
+        allowed_m_pp=_NUMBER,
+        at_rad_per_s=_NUMBER,
+        case=_TEXT,
+        passed={"type": "boolean"},
+    )
+    budget = _table(
+        axes=_list(_TEXT),
+        frequencies_rad_per_s=_list(_NUMBER),
+        elements_deg={"type": "object", "additionalProperties": _list(_NUMBER)},
+        total_deg=_list(_NUMBER),
+        notes=_list(_TEXT),
+    )
+    demand = _table(
+        load=_TEXT,
+        kind={"enum": ["unbalance", "part of unbalance", "impulse", "surge"]},
+        frequency_rad_per_s=_NUMBER,
+        force_N_0p={**_NUMBER, "description": "control current times k_i"},
+        current_A_0p=_NUMBER,
+        voltage_V_0p=_NUMBER,
+        margin_alone=_ANY_NUMBER,
+    )
+    capacity = _table(
+        axis=_TEXT,
+        frequencies_rad_per_s=_list(_NUMBER),
+        force_N_0p=_list(_NUMBER),
+        other_side_force_N_0p=_list(_NUMBER),
+        limited_by=_list(_TEXT),
+        static_N={"type": "object", "additionalProperties": _NUMBER},
+        static_current_A=_NUMBER,
+        demands=_list(demand),
+        margins=_list(_table(margin=_ANY_NUMBER, of=_TEXT, limited_by=_TEXT)),
+    )
+    weight = _table(position_m=_NUMBER, amount_kg_m=_NUMBER, angle_rad=_NUMBER, carried_kg=_NUMBER)
+    peak = {
+        "speed_rad_per_s": _POSITIVE,
+        "amplitude_m_pp": _SIZE,
+        "amplification_factor": {"type": ["number", "string"], "exclusiveMinimum": 0},
+    }
+    curve = _table(
+        reading=_TEXT,
+        case=_TEXT,
+        amplitude_m_pp=_list(_SIZE),
+        phase_lag_deg={
+            **_list(_NUMBER),
+            "description": "behind the key phasor, which is where the first unbalance is",
+        },
+        peaks=_list(_table(**peak)),
+    )
+    support = _table(
+        axes=_list(_TEXT),
+        kind={"enum": ["magnet", "film"]},
+        speeds_rad_per_s=_list(_NUMBER),
+        stiffness_abs_N_per_m=_list(_NUMBER),
+        stiffness_real_N_per_m=_list(_NUMBER),
+    )
+    crossing = _table(
+        axes=_TEXT,
+        critical_speed={"type": "integer"},
+        speed_rad_per_s=_NUMBER,
+        stiffness_N_per_m=_NUMBER,
+    )
+    undamped = _table(
+        support_stiffness_N_per_m=_list(_NUMBER),
+        forward_rad_per_s={
+            **_list(_list(_NUMBER)),
+            "description": "a row per critical speed, over the stiffness",
+        },
+        on_rigid_supports_rad_per_s=_list(_NUMBER),
+        supports=_list(support),
+        crossings=_list(crossing),
+    )
+    branch = _table(frequency_rad_per_s=_NUMBER, log_decrement=_list(_NUMBER))
+    whole = _table(
+        schema={"const": SCHEMA},
+        machine=_TEXT,
+        controller=_TEXT,
+        timing=_TEXT,
+        operating_point=_TEXT,
+        passed={"type": "boolean"},
+        speeds_rad_per_s=_table(lowest=_SIZE, highest=_POSITIVE, trip=_POSITIVE),
+        mean_gas_density_kg_per_m3=_MAYBE,
+        scale_factor=_table(capped=_NUMBER, uncapped=_ANY_NUMBER),
+        items=_list(item),
+        modes_up_to_rad_per_s=_POSITIVE,
+        modes=_list(mode),
+        clearances=_list(clearance),
+        phase_budget=_list(budget),
+        capacity=_list(capacity),
+        notes=_list(_TEXT),
+        critical_speed_map=undamped,
+        level_one=_table(
+            anticipated_N_per_m=_MAYBE,
+            border_N_per_m={
+                **_ANY_NUMBER,
+                "description": "text, > and the end of the sweep, where none was met up to there",
+            },
+            log_decrement_at_anticipated=_MAYBE,
+            critical_speed_ratio=_MAYBE,
+            level_two_asked_for={
+                "type": ["array", "null"],
+                "items": _TEXT,
+                "description": "reasons; null: no anticipated cross-coupling",
+            },
+            cross_coupling_N_per_m=_list(_NUMBER),
+            modes=_list(branch),
+        ),
+        unbalance=_list(_table(case=_TEXT, why=_TEXT, weights=_list(weight))),
+        critical_speeds=_list(
+            _table(
+                **peak,
+                margin_percent=_NUMBER,
+                required_percent=_NUMBER,
+                reading=_TEXT,
+                case=_TEXT,
+            )
+        ),
+        response=_table(speeds_rad_per_s=_list(_POSITIVE), curves=_list(curve)),
+    )
+    # what an unstable loop, or a rotor without Level I, does not have
+    missing = {"level_one", "unbalance", "critical_speeds", "response"}
+    whole["required"] = [key for key in whole["required"] if key not in missing]
+    head = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": f"lateral analysis of ambrose, schema {SCHEMA}",
+    }
+    return head | whole
+
+
+def _table(**properties: Any) -> dict[str, Any]:
+    return {
+        "type": "object",
+        "properties": properties,
+        "required": list(properties),
+        "additionalProperties": False,
+    }
+
+
+def _list(entry: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "array", "items": entry}
+
+
+if __name__ == "__main__":
+    from ambrose.machine.ordinary_file import write_text
+
+    write_text(Path(sys.argv[1]), json.dumps(lateral_schema(), indent=1) + "\n", "JSON schema")
+
 
 NEAR = 0.25  # of the speed: a partner further away is none
 _SAME_PEAK = 0.03  # peaks of two placements nearer to each other than this are one
@@ -147,7 +470,7 @@ def compare(
 
     mine: a ``Lateral``, its data, or the path of a lateral.json. theirs: the same, or the path of
     a table (*.csv) of another code or of measurements, whose columns stand in
-    ``ambrose.annexes.rotordynamics.their_table``. within [%]: the largest difference accepted.
+    ``ambrose.annexes.rotordynamics.comparison``. within [%]: the largest difference accepted.
     Amplitudes are comparable where both sides have the same unbalance. Raises InvalidInput for a
     file that is neither, for unknown columns and units.
     """

@@ -29,15 +29,14 @@ from scipy.linalg import eigvalsh, null_space
 from ambrose.annexes.rotordynamics.loop import ShaftLoop
 from ambrose.annexes.rotordynamics.stations import Layout, rigid_support_critical
 from ambrose.core.frequency import frequency_response
-from ambrose.law.law import LawLike, law_of
-from ambrose.law.scheduling import SPEED
+from ambrose.law.law import SPEED, LawLike, law_of
 from ambrose.machine.attachment import attached
 from ambrose.machine.machine import Machine
-from ambrose.model.basis import in_plane, modes_of
+from ambrose.model.assemble import in_plane, modes_of
 from ambrose.model.effects import amplifier, sensor
-from ambrose.model.effects.journal_bearing import JournalBearing, coefficients
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties, plane_rows
-from ambrose.model.ports import QUARTER, sensor_ports
+from ambrose.model.effects.stations import JournalBearing, coefficients
+from ambrose.model.plant import QUARTER, sensor_ports
 from ambrose.model.static_load import magnet_coefficients
 
 _COUNT = (2, 5)  # critical speeds, at least and at most

@@ -19,8 +19,8 @@ import numpy as np
 from ambrose.annexes.rotordynamics import standard
 from ambrose.annexes.rotordynamics.loop import ShaftLoop
 from ambrose.annexes.rotordynamics.stations import Layout
-from ambrose.judge.rotor_modes import OSCILLATORY, damping_ratio
-from ambrose.machine.rotor_model import ShaftSection
+from ambrose.judge.campbell import OSCILLATORY, damping_ratio
+from ambrose.machine.part import ShaftSection
 
 BACKWARD = 0.25  # amplitude-weighted whirl beyond which a mode counts as backward
 _OUTER = 1.05  # an overhung end is an antinode where it moves so many times as its journal does

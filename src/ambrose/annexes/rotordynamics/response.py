@@ -6,16 +6,113 @@ values; speeds are added until these agree with what is computed between them.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import brentq
 
+from ambrose.annexes.rotordynamics import standard
 from ambrose.annexes.rotordynamics.loop import ShaftLoop
 from ambrose.annexes.rotordynamics.placement import UnbalanceCase
 from ambrose.annexes.rotordynamics.stations import Layout, Reading
+from ambrose.core.checks import InvalidInput
 from ambrose.judge.unbalance import orbit
+
+# How far the unbalance response goes, and where it is computed first.
+#
+# A critical speed needs a margin of 26 % above the maximum continuous speed at most, so that the
+# response must go to ``standard.MARGIN_TO`` times that speed, or to trip; it goes on to
+# ``standard.CURVES_TO`` where it can, for the upper half-power points. It ends where a table of the
+# machine or the controller does, and where the loop becomes unstable: nothing is steady beyond.
+#
+# Critical speeds are looked for by the poles s at every speed W of the first grid: those with |Im s
+# - W| below a step of it are added with their half-power points, so that no peak is too sharp to be
+# met.
+
+
+_TIGHT = 1e-4  # of the trip speed: how well the end is found
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """asked [rad/s]: up to where the response must go; end: up to where it goes; why: what ends it
+    below asked, "" for nothing. through: speeds [rad/s] at which it is to be computed. unstable:
+    the first speed from the lowest running speed to trip at which a pole has a real part
+    [1/s], with it; None: there is none.
+    """
+
+    asked: float
+    end: float
+    why: str
+    through: tuple[float, ...]
+    unstable: tuple[float, float] | None
+
+
+def reach(
+    loop_at: Callable[[float], ShaftLoop],
+    slowest: float,
+    running: tuple[float, float],
+    trip: float,
+) -> Reach:
+    """From the slowest speed of the curves [rad/s]; the loop is covered up to trip."""
+    lowest, highest = running
+    asked = max(trip, standard.MARGIN_TO * highest)
+    end, why = asked, ""
+    for wanted in (asked, max(trip, standard.CURVES_TO * highest)):
+        if error := _refusal(loop_at, wanted):
+            if wanted == asked:
+                why = f"{error}; extend the table"
+                end = _last(lambda speed: not _refusal(loop_at, speed), trip, asked)
+            break
+        end = wanted
+
+    speeds = np.union1d(first_speeds(slowest, end), [trip])
+    step = float(np.diff(speeds).max())
+    through = {trip, lowest, highest, min(asked, end)}
+    unstable = None
+    stable = trip
+    for speed in map(float, speeds):
+        poles = loop_at(speed).all_modes()
+        abscissa = float(poles.real.max())
+        if abscissa >= 0 and lowest <= speed <= trip:
+            unstable = unstable or (speed, abscissa)
+        elif abscissa >= 0 and speed > trip:
+            end = _last(lambda w: loop_at(w).all_modes().real.max() < 0, stable, speed)
+            if end < asked:
+                why = f"the loop is unstable above {standard.rpm(end)} rpm"
+            break
+        stable = max(stable, speed)
+        for pole in poles[np.abs(poles.imag - speed) <= step]:
+            # the peak and its half-power points; wider ones are met by the grid
+            size, half = abs(pole), abs(float(pole.real))
+            if half < step:
+                through |= {size - half, size, size + half}
+    return Reach(asked, end, why, tuple(w for w in through if slowest < w < end), unstable)
+
+
+def _refusal(loop_at: Callable[[float], ShaftLoop], speed: float) -> str:
+    """What the machine file or the controller does not cover at a speed; "": nothing."""
+    try:
+        loop_at(speed)
+    except InvalidInput as error:
+        return str(error)
+    return ""
+
+
+def _last(holds: Callable[[float], bool], low: float, high: float) -> float:
+    """The last speed [rad/s] at which something holds, between one where it does and one where it
+    does not.
+    """
+    width = _TIGHT * low
+    while high - low > width:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low
+
 
 _FIRST = 51  # speeds to begin with
 _MOST = 400  # speeds in all
@@ -224,3 +321,113 @@ def _spline_error(grid: np.ndarray, motion: np.ndarray, scale: np.ndarray) -> fl
     rest = np.arange(1, kept[-1], 2)
     guessed = CubicSpline(grid[kept], motion[kept])(grid[rest])
     return float((np.abs(guessed - motion[rest]) / scale).max())
+
+
+# Critical speeds in a response curve: amplification factor and separation margin, by interpolation.
+#
+# N_c is where the amplitude peaks, N_1 and N_2 where it is 0.707 of the peak: AF = N_c/(N_2 - N_1).
+# A peak with one flank inside the curve has twice that flank as its band, or less where the
+# neighbour or the curve's end on the other side is nearer. One without a flank stays above 0.707 of
+# itself between its neighbours, or the curve's ends, a and b: AF <= N_c/(b - a).
+
+
+@dataclass(frozen=True, slots=True)
+class Critical:
+    """A peak: speed [rad/s], amplitude zero to peak [m], amplification factor (nan: no flank falls
+    to half power inside the curve), both flanks inside or one; most: what the factor is at most.
+    """
+
+    speed: float
+    amplitude: float
+    amplification: float
+    both_flanks: bool
+    most: float = math.inf
+
+    @property
+    def known(self) -> bool:
+        """Whether the curve shows an amplification factor."""
+        return math.isfinite(self.amplification)
+
+    @property
+    def damped(self) -> bool:
+        """Critically damped: no margin is asked for."""
+        return self.factor < standard.CRITICALLY_DAMPED
+
+    @property
+    def factor(self) -> float:
+        """The amplification factor, or what it is at most."""
+        return self.amplification if self.known else self.most
+
+
+def criticals(speeds: np.ndarray, amplitude: np.ndarray) -> tuple[Critical, ...]:
+    """The peaks of amplitudes (w,) [m] over ascending speeds (w,) [rad/s]."""
+    curve = CubicSpline(speeds, amplitude)
+    slope = curve.derivative()
+    tops = [
+        float(w)
+        for w in slope.roots(extrapolate=False)
+        if curve(w, 2) < 0 and speeds[0] < w < speeds[-1]
+    ]
+    found = []
+    for k, top in enumerate(tops):
+        left = speeds[0] if k == 0 else tops[k - 1]
+        right = speeds[-1] if k == len(tops) - 1 else tops[k + 1]
+        peak = float(curve(top))
+        if peak < 1e-3 * float(amplitude.max()):
+            continue
+        sides = (float(left), float(right))
+        flanks = [_flank(curve, peak, top, end) for end in sides]
+        known = [flank for flank in flanks if flank is not None]
+        # a flank that is not reached is as wide as the other, but ends with the curve
+        band = (
+            sum(
+                min(known[0], abs(end - top)) if flank is None else flank
+                for flank, end in zip(flanks, sides, strict=True)
+            )
+            if known
+            else math.nan
+        )
+        factor = top / band if known else math.nan
+        most = factor if known else top / float(right - left)
+        found.append(Critical(top, peak, factor, len(known) == 2, most))
+    return tuple(found)
+
+
+def _flank(curve: CubicSpline, peak: float, top: float, end: float) -> float | None:
+    """From the peak to half power towards ``end`` [rad/s]; None where it is not reached."""
+    half = peak / math.sqrt(2)
+    places = np.linspace(top, end, 400)
+    below = np.flatnonzero(curve(places) < half)
+    if not below.size:
+        return None
+    k = int(below[0])
+    crossing = brentq(lambda w: float(curve(w)) - half, places[k - 1], places[k])
+    return abs(crossing - top)
+
+
+@dataclass(frozen=True, slots=True)
+class Separation:
+    """How far a critical speed lies from the running speeds: margin and what is required [%]; of an
+    unknown amplification factor what the largest possible one requires.
+    """
+
+    critical: Critical
+    margin: float
+    required: float
+
+    @property
+    def passed(self) -> bool:
+        return self.critical.damped or self.margin >= self.required
+
+
+def separation(critical: Critical, lowest: float, highest: float) -> Separation:
+    """Of a critical speed from the running range [rad/s]; inside of it the margin is 0 and what is
+    asked for that below the range.
+    """
+    factor = critical.factor
+    below, above = standard.margin_below(factor), standard.margin_above(factor)
+    if critical.speed < lowest:
+        return Separation(critical, 100 * (lowest - critical.speed) / lowest, below)
+    if critical.speed > highest:
+        return Separation(critical, 100 * (critical.speed - highest) / highest, above)
+    return Separation(critical, 0.0, max(below, above))

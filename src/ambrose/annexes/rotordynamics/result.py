@@ -9,13 +9,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ambrose.annexes.rotordynamics.capacity import AxisCapacity
-from ambrose.annexes.rotordynamics.critical import Critical, Separation, criticals
 from ambrose.annexes.rotordynamics.critical_map import CriticalMap
-from ambrose.annexes.rotordynamics.level_one import LevelOne
-from ambrose.annexes.rotordynamics.level_two import Share
-from ambrose.annexes.rotordynamics.phase_budget import PhaseBudget
+from ambrose.annexes.rotordynamics.levels import LevelOne, Share
+from ambrose.annexes.rotordynamics.loop import PhaseBudget
 from ambrose.annexes.rotordynamics.placement import ShaftMode
-from ambrose.annexes.rotordynamics.response import Response
+from ambrose.annexes.rotordynamics.response import Critical, Response, Separation, criticals
 from ambrose.annexes.rotordynamics.stations import Layout
 from ambrose.core.presentation import Presented, data_frame
 from ambrose.machine.machine import Machine

@@ -14,12 +14,10 @@ from scipy.linalg import eigvalsh, null_space
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.attachment import attached
-from ambrose.machine.limits import FINE_MESH_MODES
 from ambrose.machine.machine import Machine
-from ambrose.model.effects.clearance import Clearance
-from ambrose.model.effects.journal_bearing import JournalBearing
-from ambrose.model.effects.probe import Probe
+from ambrose.machine.ordinary_file import FINE_MESH_MODES
 from ambrose.model.effects.rotor import displacement_row, finite_element_rotor, free_modes
+from ambrose.model.effects.stations import Clearance, JournalBearing, Probe
 from ambrose.model.static_load import weight_in_plane
 
 GRAVITY = 9.80665  # [m/s^2]

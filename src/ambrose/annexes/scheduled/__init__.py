@@ -2,9 +2,9 @@
 
 ANNEX = {
     "site command": {"monitor": "monitor_command:monitor"},
-    "public": {"monitor": "front_door", "lpv_synthesis": "lpv.synthesis", "Lpv": "lpv.method"},
-    "page": {"SealHistory": "monitor_page:monitor_page"},
+    "public": {"monitor": "monitor", "lpv_synthesis": "lpv.synthesis", "Lpv": "lpv.method"},
+    "page": {"SealHistory": "monitor:monitor_page"},
     "method": {"lpv": "lpv.method:Lpv"},
-    "moving_proof": {"pressure and speed": "moving.proofs"},
-    "companion": {"seal monitor": "watched:watched"},
+    "moving_proof": {"pressure and speed": "moving_proofs"},
+    "companion": {"seal monitor": "seal_watch:watched"},
 }

@@ -115,10 +115,10 @@ def monitor(
     CONTROLLER is the one that ran. Exit status 1: done, but the seal changes, leaves the range of
     the machine file's tolerances, contradicts the pressure given, or nothing can be said.
     """
-    from ambrose.annexes.scheduled.monitor_page import monitor_table
-    from ambrose.annexes.scheduled.seal_monitor.watch import monitor as watched
-    from ambrose.annexes.scheduled.seal_monitor.watch import seal_monitor
-    from ambrose.machine.atomic_write import write_text
+    from ambrose.annexes.scheduled.monitor import monitor_table
+    from ambrose.annexes.scheduled.seal_watch import monitor as watched
+    from ambrose.annexes.scheduled.seal_watch import seal_monitor
+    from ambrose.machine.ordinary_file import write_text
     from ambrose.record.files import read_record
 
     description = load(machine)
@@ -142,7 +142,7 @@ def monitor(
     }
     with progress_shown(as_json) as progress:
         if code is not None:
-            from ambrose.annexes.scheduled.monitor_code import write_monitor
+            from ambrose.annexes.scheduled.monitor import write_monitor
 
             progress("writing the code")
             following: Any = seal_monitor

@@ -4,7 +4,7 @@ limits and the prediction.
 Excitation currents e_<axis> give T_o = S_o G K = M K of the measured M = y/e, with the controller's
 K as it runs, which is known exactly; references r_<axis> give T_o = y/r. Then S_o = I - T_o, and L
 = 1/S_ii - 1 of every axis with the other loops closed, as in ISO 14839-3. M is free of the bias of
-feedback, its error known line by line (identification/frf/local.py).
+feedback, its error known line by line (identification/frf_spectral.py).
 
 accepted = accept(machine, controller, ["standstill.h5", "running.h5"])
 """
@@ -19,31 +19,21 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.annexes.site.resolution import (
-    Resonance,
-    between,
-    predicted_resonances,
-    risen,
-)
-from ambrose.annexes.site.telling import judged_reach, share, telling
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.frequency import frequency_response
 from ambrose.core.presentation import Presented
 from ambrose.core.sampling import c2d
-from ambrose.core.statespace import StateSpace, select
+from ambrose.core.statespace import StateSpace, poles, select
+from ambrose.identification.data_quality.controller import KNOWN, LoopModel, doubted
 from ambrose.identification.data_quality.diagnosis import screened
-from ambrose.identification.data_quality.excitation_fit import KNOWN, LoopModel, doubted
 from ambrose.identification.data_quality.signals import check_point
 from ambrose.identification.findings import Finding
-from ambrose.identification.frf.local import band_width, local_response
-from ambrose.identification.frf.spectral import Frf
+from ambrose.identification.frf_spectral import Frf, band_width, local_response
 from ambrose.identification.output_error.problem import check_machine
-from ambrose.identification.validation.operating_load import machine_at_load
-from ambrose.judge.checks import Check, Checks
-from ambrose.judge.criteria import holds, information, judge
+from ambrose.identification.validation.places import machine_at_load
+from ambrose.judge.checks import Check, Checks, holds, information, judge
 from ambrose.law.law import LawLike
-from ambrose.law.loop import running_law
-from ambrose.law.timing import Timing, check_clock, timing_of
+from ambrose.law.loop import Timing, check_clock, closed_loop, running_law, timing_of
 from ambrose.machine.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, TWO_PI, Demand, demand
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
@@ -52,6 +42,199 @@ from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant, top_speed
 from ambrose.record.files import read_record
 from ambrose.record.record import Record
+
+# Which lines of a measured loop tell anything of a limit, and where to excite for the others.
+#
+# Where the excitation has no power, or the noise is as large as what is sought, a response comes
+# out as anything: such a line speaks neither for the loop nor against it. The sensitivity of no
+# loop at all is 1. Of the way from there to the limit a third is left to the loop itself, one to
+# the noise in the value and one to its half-width; where noise takes more, a good loop would fail.
+
+
+_PART = 1 / 3  # of the way from 1, no loop, to the limit: for loop, noise and half-width each
+# half-widths that noise alone reaches once in half a million lines, of 20 degrees of freedom:
+# (1 + (3 t)^2 / 40)^-20 with t = 2.02
+_STANDS_OUT = 3.0
+_NO_LIMIT = 3.0  # sensitivity that is asked about where none is a limit: zone A of ISO 14839-3
+_ENOUGH = 0.95  # of the band, that has to tell; assumed
+_NEAR_PEAK = 0.9  # of the predicted peak, where a line has to tell; assumed
+_MOST = 3  # bands that are named
+
+
+def _part(limit: float | None) -> float:
+    return _PART * ((_NO_LIMIT if limit is None else limit) - 1)
+
+
+def telling(
+    value: np.ndarray, noise: np.ndarray, limit: float | None, lift: float | np.ndarray = 0.0
+) -> np.ndarray:
+    """Whether every value (w,) of a sensitivity with that 95 % half-width of noise tells on which
+    side of ``limit`` it is (None: of zone A's), or stands out of its noise. lift (w,): what noise
+    alone makes of the value where that is more.
+    """
+    allowed = _part(limit)
+    alone = np.maximum(noise, lift)
+    return np.asarray((noise <= allowed) | (value > _STANDS_OUT * alone))
+
+
+def share(omega: np.ndarray, told: np.ndarray) -> float:
+    """Of the band that the lines omega (w,) span, the part around those that tell."""
+    width = np.gradient(omega) if len(omega) > 1 else np.ones(1)
+    return float(width[told].sum() / width.sum())
+
+
+def silent_bands(omega: np.ndarray, told: np.ndarray) -> list[tuple[float, float]]:
+    """First and last of every run of lines that tell nothing [rad/s], the widest first."""
+    edge = np.diff(np.r_[0, ~told, 0].astype(int))
+    first, last = np.flatnonzero(edge == 1), np.flatnonzero(edge == -1) - 1
+    found = [(float(omega[i]), float(omega[k])) for i, k in zip(first, last, strict=True)]
+    return sorted(found, key=lambda ends: ends[0] - ends[1])
+
+
+def where(omega: np.ndarray, told: np.ndarray) -> str:
+    """The bands that tell nothing, in words, as they lie; empty without any."""
+    bands = silent_bands(omega, told)
+    named = ", ".join(
+        f"{low / TWO_PI:.4g} Hz" if low == high else f"{low / TWO_PI:.4g} to {high / TWO_PI:.4g} Hz"
+        for low, high in sorted(bands[:_MOST])
+    )
+    more = f" and {len(bands) - _MOST} more" if len(bands) > _MOST else ""
+    return f"{named}{more}"
+
+
+def judged_reach(
+    names: Sequence[str],
+    omega: np.ndarray,
+    told: np.ndarray,
+    predicted: np.ndarray,
+    limits: Sequence[float | None],
+) -> Check:
+    """Whether the lines that tell, told (w, n), are enough of the band and about those peaks of
+    predicted (w, n) that take more of the way to their limit than is the loop's, where a gap would
+    hide what is asked for.
+    """
+    parts = np.array([share(omega, column) for column in told.T])
+    title = "Part of the band in which the lines tell something, least of all axes"
+    wanted = Demand(_ENOUGH, ">=", "")
+    if told.all():
+        return judge("sensitivity.told", title, 1.0, "-", wanted, "every line")
+    high = np.array([1 + _part(limit) for limit in limits])
+    hidden = ~told & (predicted >= np.maximum(_NEAR_PEAK * predicted.max(axis=0), high))
+    at_peak = [
+        f"the predicted peak of {name} at {omega[predicted[:, i].argmax()] / TWO_PI:.4g} Hz is "
+        "not told"
+        for i, name in enumerate(names)
+        if hidden[:, i].any()
+    ]
+    low = f"{names[int(parts.argmin())]}: " if parts.min() < parts.max() else ""
+    detail = "; ".join(
+        [
+            f"{low}excite there: {where(omega, told[:, int(parts.argmin())])}, where noise hides "
+            "it; a binary sequence has no power at 1 over its bit time",
+            *at_peak[:_MOST],
+        ]
+    )
+    value = float(parts.min())
+    check = judge("sensitivity.told", title, value, "-", wanted, detail)
+    return replace(check, passed=False) if at_peak else check
+
+
+# What lines resolve of a closed loop: its predicted resonances, how wide each is, and what rises
+# between two lines.
+#
+# A pole s of the loop makes a resonance at Im s that is -2 Re s wide at half its power. A
+# polynomial of second order over a band B about it errs by 3/35 (B/width)^4 of its height: of x^4,
+# the first power that it lacks at the centre, x from -1 to 1 over the band.
+
+
+_SHARP = 0.3  # damping ratio below which a pole makes a peak
+_HIGH = 0.5  # of the largest predicted sensitivity, below which a resonance decides nothing
+_OUT = 0.05  # by which a resonance stands out of what is beside it
+_OFF = 0.02  # of its frequency, by which the true resonance may lie elsewhere; assumed
+_PER_WIDTH, _MOST_LINES = 4, 40  # lines over the width of a resonance, and in all for one
+_POINTS = 6  # of the prediction between two lines
+
+
+@dataclass(frozen=True, slots=True)
+class Resonance:
+    """frequency and width at half power [rad/s]."""
+
+    frequency: float
+    width: float
+
+    @property
+    def reach(self) -> float:
+        """How far from its frequency [rad/s] it shows, also where it lies a little elsewhere."""
+        return max(2 * self.width, _OFF * self.frequency)
+
+    @property
+    def band(self) -> tuple[float, float, float]:
+        """Between which frequencies it shows, and the widest band that follows it [rad/s]: over its
+        own width a polynomial errs by 3/35 of its height, over more of it by the fourth power.
+        """
+        return self.frequency - self.reach, self.frequency + self.reach, self.width
+
+    def lines(self) -> list[float]:
+        """Frequencies [rad/s] that show it."""
+        reach = self.reach
+        count = min(int(2 * reach * _PER_WIDTH / self.width) + 1, _MOST_LINES)
+        return [float(w) for w in self.frequency + np.linspace(-reach, reach, count) if w > 0]
+
+
+def predicted_resonances(plant: Plant, law: StateSpace, highest: float) -> list[Resonance]:
+    """Those up to ``highest`` [rad/s] that may make the largest sensitivity of the sampled loop."""
+    z = poles(closed_loop(plant, law))
+    s = np.log(z[np.abs(z) > 0]) / (law.dt or 1.0)
+    s = s[(s.imag > 0) & (s.imag < highest) & (s.real < 0)]
+    s = s[-s.real < _SHARP * np.abs(s)]
+    if not len(s):
+        return []
+
+    # sigma_max at each resonance and three half-widths beside it, and over the whole range
+    at = s.imag[:, None] - 3 * s.real[:, None] * np.array([-1.0, 0.0, 1.0])
+    height = _sigma(plant, law, np.clip(at, 1e-3, None).ravel()).reshape(-1, 3)
+    largest = max(
+        float(height[:, 1].max()), float(_sigma(plant, law, np.geomspace(10, highest, 200)).max())
+    )
+    told = (height[:, 1] > _HIGH * largest) & (
+        height[:, 1] > height[:, [0, 2]].min(axis=1) + _OUT * largest
+    )
+    return [Resonance(float(p.imag), float(-2 * p.real)) for p in s[told]]
+
+
+def between(plant: Plant, law: StateSpace, omega: np.ndarray) -> np.ndarray:
+    """By what factor (w - 1, a + 1) the predicted |S_ii| and sigma_max rise between two lines above
+    both ends.
+    """
+    share = np.arange(1, _POINTS + 1) / (_POINTS + 1)
+    inner = omega[:-1, None] + np.diff(omega)[:, None] * share
+    ends, inside = (_sizes(plant, law, w) for w in (omega, inner.ravel()))
+    top = inside.reshape(len(inner), _POINTS, -1).max(axis=1)
+    return np.asarray(np.maximum(top / np.maximum(ends[:-1], ends[1:]), 1.0))
+
+
+def risen(high: np.ndarray, factor: np.ndarray) -> float:
+    """The largest of values (w,) at the lines and, by ``factor`` (w - 1,), between them."""
+    inner = np.maximum(high[:-1], high[1:]) * factor
+    return float(max(high.max(), inner.max(initial=0.0)))
+
+
+def _sizes(plant: Plant, law: StateSpace, omega: np.ndarray) -> np.ndarray:
+    S = _sensitivity(plant, law, omega)
+    own = np.abs(np.einsum("wii->wi", S))
+    return np.column_stack([own, np.linalg.norm(S, 2, axis=(1, 2))])
+
+
+def _sigma(plant: Plant, law: StateSpace, omega: np.ndarray) -> np.ndarray:
+    return np.asarray(np.linalg.norm(_sensitivity(plant, law, omega), 2, axis=(1, 2)))
+
+
+def _sensitivity(plant: Plant, law: StateSpace, omega: np.ndarray) -> np.ndarray:
+    # S_o = (I + G K)^-1 with G sampled through its hold
+    held = c2d(select(plant.system, plant.named("u"), plant.named("y")), law.dt or 1.0)
+    G, K = (frequency_response(system, omega).values for system in (held, law))
+    return np.asarray(np.linalg.inv(np.eye(len(plant.axes)) + G @ K))
+
 
 _LATE = 4  # samples of delay that are tried beyond those told; assumed
 # another delay is taken for the true one where its misfit is below this share of the told one's;
@@ -76,7 +259,7 @@ class MeasuredLoop:
     at their static load; coherence (w, a); checks: its verdict; between (w - 1, a + 1): by what
     factor the prediction of every axis, and of sigma, rises between two lines above both; told
     (w, a + 1): the lines of every axis, and of sigma, that the excitation reached, so that they
-    tell something of the limit (telling.py).
+    tell something of the limit (acceptance.py).
     """
 
     point: OperatingPoint
@@ -367,7 +550,7 @@ def _measure(
 
     # the prediction, and beside it the one with the magnets at the load that the currents tell
     predicted = tuple(
-        (words, _sensitivity(item, K, omega, timing.sample_time)) for words, item in models
+        (words, _predicted(item, K, omega, timing.sample_time)) for words, item in models
     )
     label = point.label or f"{point.speed / TWO_PI:.4g} Hz"
     spacing = float(np.diff(omega).min()) / TWO_PI
@@ -400,7 +583,7 @@ def _measure(
     return replace(loop, checks=replace(loop.checks, checks=tuple(checks)))
 
 
-def _sensitivity(plant: Plant, K: np.ndarray, omega: np.ndarray, dt: float) -> np.ndarray:
+def _predicted(plant: Plant, K: np.ndarray, omega: np.ndarray, dt: float) -> np.ndarray:
     """S_o (w, a, a) of the sampled loop, without approximation."""
     # S_o = (I + G K)^-1 with G sampled through its hold
     G = frequency_response(

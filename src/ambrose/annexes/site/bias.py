@@ -23,9 +23,8 @@ from ambrose.identification.findings import WARNING, Code, Finding
 from ambrose.identification.parameters import COVERAGE
 from ambrose.identification.pipeline import identify
 from ambrose.identification.result import Identification
-from ambrose.machine.axial import across_the_shaft
 from ambrose.machine.description import BiasPoint, MagneticBearing
-from ambrose.machine.machine import Machine
+from ambrose.machine.machine import Machine, across_the_shaft
 from ambrose.record.files import read_record
 from ambrose.record.record import Record
 

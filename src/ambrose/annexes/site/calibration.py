@@ -5,7 +5,7 @@ run-out, magnetic centre.
   the sensors of a bearing show is an ellipse about their offset; its half-axes are gain times
   clearance, so that one of the two is known from the other.
 * Slow roll: multiples of the turning in y - G u, which run-out alone makes
-  (balancing/influence.py).
+  (site/balancing.py).
 * Levitation at rest: magnet forces and weight are in balance, which tells where the magnets' centre
   is; at several bias currents the weight as well.
 """
@@ -19,23 +19,25 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ambrose.annexes.site.balancing.influence import NONE, influence, source_of_currents
-from ambrose.annexes.site.balancing.vectors import revolution
+from ambrose.annexes.site.balancing import NONE, influence, revolution, source_of_currents
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.presentation import Presented
 from ambrose.core.statespace import select
-from ambrose.identification.excitation import signal_rows
-from ambrose.identification.frf.phasors import Step
-from ambrose.identification.validation.operating_load import load_doubt, machine_at_load
-from ambrose.machine.axial import across_the_shaft
+from ambrose.identification.findings import signal_rows
+from ambrose.identification.frf import Step
+from ambrose.identification.validation.places import load_doubt, machine_at_load
 from ambrose.machine.description import Pair
-from ambrose.machine.machine import Machine
-from ambrose.machine.stator import Runout, Sensor
+from ambrose.machine.machine import Machine, across_the_shaft
+from ambrose.machine.part import Runout, Sensor
 from ambrose.model.assemble import assemble
 from ambrose.model.effects import magnet
-from ambrose.model.ports import measured_ports, sensor_turn
-from ambrose.model.static_load import magnet_coefficients, operating_magnets, static_sag
-from ambrose.model.unbalance import residual_unbalance
+from ambrose.model.plant import measured_ports, sensor_turn
+from ambrose.model.static_load import (
+    magnet_coefficients,
+    operating_magnets,
+    residual_unbalance,
+    static_sag,
+)
 from ambrose.record.files import read_record
 from ambrose.record.record import Record
 

@@ -18,21 +18,26 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.annexes.site.acceptance import phase_margin
-from ambrose.annexes.site.telling import share, telling, where
+from ambrose.annexes.site.acceptance import phase_margin, share, telling, where
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import FrequencyResponse, frequency_response
 from ambrose.core.presentation import Presented
 from ambrose.core.statespace import StateSpace, select
 from ambrose.identification.data_quality.signals import signal_findings
 from ambrose.identification.findings import WARNING, Code, Finding, refuse
-from ambrose.identification.frf.measured import IN_WORDS, LoopFrf, measure
-from ambrose.identification.frf.spectral import Frf
-from ambrose.identification.frf.validity import DISAGREES, Validity, compare, model_response
-from ambrose.identification.validation.operating_load import machine_at_load
+from ambrose.identification.frf import (
+    DISAGREES,
+    IN_WORDS,
+    LoopFrf,
+    Validity,
+    compare,
+    measure,
+    model_response,
+)
+from ambrose.identification.frf_spectral import Frf
+from ambrose.identification.validation.places import machine_at_load
 from ambrose.law.law import LawLike
-from ambrose.law.loop import closed_loop, running_law
-from ambrose.law.timing import Timing, timing_of
+from ambrose.law.loop import Timing, closed_loop, running_law, timing_of
 from ambrose.machine.criteria import TWO_PI
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine

@@ -4,6 +4,6 @@ asked (thesis, 7.3).
 
 ANNEX = {
     "design command": {"size": "command:size"},
-    "public": {"size": "map", "least": "least", "price": "least"},
+    "public": {"size": "least", "least": "least", "price": "least"},
     "page": {"Sizing": "page:sizing_page"},
 }

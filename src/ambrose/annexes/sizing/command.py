@@ -103,7 +103,7 @@ def size(
     meets all, or the verification failed.
     """
     from ambrose.core.checks import InvalidInput
-    from ambrose.synthesis.methods.tuned import Tuned
+    from ambrose.synthesis.methods import Tuned
 
     if (tolerance is None) != (widths is None) or (tolerance is not None and lever is None):
         raise InvalidInput("--tolerance, --widths and --least go together; give all three")
@@ -142,8 +142,8 @@ def _map(
     machine_out: Path | None,
     as_json: bool,
 ) -> None:
-    from ambrose.annexes.sizing.map import AREAS, BIASES
-    from ambrose.annexes.sizing.map import size as sized
+    from ambrose.annexes.sizing.least import AREAS, BIASES
+    from ambrose.annexes.sizing.least import size as sized
     from ambrose.judge.verdict import verify_controller
     from ambrose.machine.file.update import save_machine
 

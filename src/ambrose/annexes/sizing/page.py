@@ -10,12 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.annexes.sizing.guarantee import Trial
-from ambrose.annexes.sizing.magnets import Size, drives
-from ambrose.annexes.sizing.map import Sizing
-from ambrose.judge.verification import Verification
+from ambrose.annexes.sizing.least import Size, Sizing, Trial, drives
+from ambrose.judge.checks import Verification
 from ambrose.machine.file.toml import machine_hash
-from ambrose.report import tables, theme, units
+from ambrose.report import tables, theme
+from ambrose.report import theme as units
 from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict, numbers
 
 _MET, _NOT = "#009e73", "#d55e00"

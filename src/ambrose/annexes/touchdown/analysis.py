@@ -2,49 +2,318 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy.linalg as sla
 
-from ambrose.annexes.touchdown.campaign import Campaign
-from ambrose.annexes.touchdown.campaign import drops as many_drops
-from ambrose.annexes.touchdown.drop import Drop, Fall, brake_of, build, case_of, run, slip_of
-from ambrose.annexes.touchdown.fallen import FallenRotor, fallen_rotor
-from ambrose.annexes.touchdown.relevitation import (
-    Recovery,
-    held_states,
-    recovery_of,
-    sampled_law,
-    with_magnets,
+from ambrose.annexes.touchdown.campaign import (
+    AxialDrop,
+    Campaign,
+    Row,
+    axial_drops,
+    judge_landing,
+    thrust_rows,
 )
-from ambrose.annexes.touchdown.run_down import RunDown, run_down
-from ambrose.annexes.touchdown.thrust_face import AxialDrop, axial_drops, thrust_rows
-from ambrose.annexes.touchdown.trip import speed_at, state_at
-from ambrose.annexes.touchdown.verdict import Row, judge_landing
+from ambrose.annexes.touchdown.campaign import drops as many_drops
+from ambrose.annexes.touchdown.drop import (
+    Drop,
+    Fall,
+    FallenRotor,
+    brake_of,
+    build,
+    case_of,
+    fallen_rotor,
+    run,
+    slip_of,
+)
+from ambrose.annexes.touchdown.drop_kernel import Rig, SampledLaw
 from ambrose.annexes.touchdown.whip import (
+    Edge,
     Whip,
     WhipCurve,
     alone,
+    beyond_stop,
     edge_alone,
+    edge_at_stop,
     receptances,
     together,
 )
-from ambrose.annexes.touchdown.whip_at_stop import Edge, beyond_stop, edge_at_stop
-from ambrose.core.arguments import names_wrong_types
-from ambrose.core.checks import InvalidInput
+from ambrose.core.checks import InvalidInput, names_wrong_types
 from ambrose.core.presentation import Presented
-from ambrose.law.law import LawLike
+from ambrose.core.sampling import c2d
+from ambrose.core.statespace import StateSpace
+from ambrose.law.law import LawLike, law_of
+from ambrose.law.loop import timing_of
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
-from ambrose.machine.messages import listed
 from ambrose.machine.parameters import operating_point
+from ambrose.machine.units import listed
 from ambrose.machine.validation.ranges import implausible
+from ambrose.model.effects import magnet
 from ambrose.model.effects.rotor import STANDARD_GRAVITY
 from ambrose.model.effects.touchdown import Bearing
-from ambrose.model.unbalance import residual_unbalance
+from ambrose.model.static_load import magnet_coefficients, residual_unbalance
 from ambrose.record.record import Record
+
+# The state of a rotor at the moment of a trip, from a record of the rig or of a machine: a drop
+# then begins where the run left off.
+#
+# Displacements q_<port> at all ports of the record and their slopes are fitted by the coordinates
+# of the fallen rotor, least squares; the phase of the unbalance is not in a record, and stays as
+# drawn.
+
+
+_AROUND = 4  # samples on either side of the trip that are fitted, at least
+_TURN = 0.5  # of a turn on either side, so that the orbit of unbalance is told from the fall
+
+
+def speed_at(record: Record, time: float) -> float:
+    """The rotor's speed [rad/s] at a time [s] of a record: its signal, else that of its point."""
+    if "speed" not in record.signals:
+        return record.point.speed
+    return float(np.interp(time, record.time, record["speed"]))
+
+
+def state_at(
+    machine: Machine, fallen: FallenRotor, record: Record, time: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates and velocities (n,) of the fallen rotor at a time [s] of a record, without the
+    orbit that its unbalance makes.
+
+    Raises InvalidInput where the time is not in the record, or it has no displacements at the
+    bearings (q_<axis>, else what its sensors read, y_<axis>).
+    """
+    at = round(time * record.sample_rate_hz)
+    speed = speed_at(record, time)
+    around = _AROUND
+    if speed:
+        around = max(around, round(_TURN * 2 * np.pi / speed * record.sample_rate_hz))
+    if not around <= at < len(record.time) - around:
+        raise InvalidInput(
+            f"the trip at {time:g} s is not within the record, 0 to {record.time[-1]:g} s; give "
+            "the time at which the power is lost"
+        )
+    kind = "q" if all(f"q_{axis}" in record.signals for axis in machine.axes) else "y"
+    names = [f"{kind}_{axis}" for axis in machine.axes]
+    missing = [name for name in names if name not in record.signals]
+    if missing:
+        raise InvalidInput(
+            f"the record has no {', '.join(missing)}, so that nothing says where the rotor is; "
+            "record displacements at every bearing"
+        )
+    rows = fallen.sensor_rows
+    if kind == "q":
+        turned = []
+        for bearing, (x, y) in zip(machine.bearings, fallen.rows, strict=True):
+            c, s = math.cos(bearing.angle), math.sin(bearing.angle)
+            turned += [c * x + s * y, c * y - s * x]
+        rows = np.array(turned)
+    # around it a parabola and the orbit: a + b t + c t^2 + d cos W t + e sin W t
+    window = slice(at - around, at + around + 1)
+    t = record.time[window] - record.time[at]
+    values = np.array([record[name][window] for name in names])
+    columns = [np.ones_like(t), t, t**2, np.cos(speed * t) - 1, np.sin(speed * t)]
+    shapes = np.column_stack(columns if speed else columns[:3])
+    size = np.abs(shapes).max(axis=0)
+    fitted = np.linalg.lstsq(shapes / size, values.T, rcond=None)[0] / size[:, None]
+    # cos - 1 is zero at the trip: d, the orbit's part there, off the place; e W off the slope
+    place, slope = fitted[0] - (fitted[3] if speed else 0.0), fitted[1]
+    # the rigid coordinates alone: as many as there are axes
+    rigid = rows[:, :4]
+    q, v = np.zeros(rows.shape[1]), np.zeros(rows.shape[1])
+    q[:4] = np.linalg.lstsq(rigid, place, rcond=None)[0]
+    v[:4] = np.linalg.lstsq(rigid, slope, rcond=None)[0]
+    return q, v
+
+
+# What follows the drop: the rotor slows down in its touchdown bearings until it stands.
+#
+# J W' = -brake - windage W^2 - sum of the bearings' moments, each under its share of the weight F:
+# on a race that has spun up its friction moment M_0 + mu_b F d/2, in a fixed bush mu F R, whose
+# work is slip.
+
+
+_STEPS = 4000  # of the speed
+
+
+@dataclass(frozen=True, slots=True)
+class RunDown:
+    """time [s] to stand still (inf: nothing slows the rotor); slip [J] in all fixed bushes; taken
+    [J]: by drive, windage and constant friction.
+    """
+
+    time: float
+    slip: float
+    taken: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, SI; a time that never ends is null."""
+        time = self.time if np.isfinite(self.time) else None
+        return {"time": time, "slip_energy": self.slip, "taken_by_drive_and_windage": self.taken}
+
+
+def run_down(fallen: FallenRotor, speed: float, brake: float, windage: float) -> RunDown:
+    """From a speed [rad/s] to rest; brake [N m], windage [N m s2]: torque over speed squared."""
+    load = STANDARD_GRAVITY * fallen.mass / len(fallen.bearings)
+    if not fallen.weight.any():
+        load = 0.0  # what lies on the axial stop is not known here
+    rubbing, rolling = 0.0, 0.0
+    for bearing in fallen.bearings:
+        if bearing.race_mass:
+            rolling += bearing.drag + bearing.drag_arm * load
+        else:
+            rubbing += bearing.friction * load * bearing.radius
+    # dt = J dW / torque(W); energies by their share of the torque
+    edges = np.linspace(0.0, speed, _STEPS + 1)
+    W = (edges[1:] + edges[:-1]) / 2
+    torque = brake + windage * W**2 + rubbing + rolling
+    if not torque.all():
+        return RunDown(np.inf, 0.0, 0.0)
+    energy = fallen.polar_inertia * W * np.diff(edges)
+    return RunDown(
+        float(np.sum(fallen.polar_inertia * np.diff(edges) / torque)),
+        float(np.sum(energy * rubbing / torque)),
+        float(np.sum(energy * (brake + windage * W**2) / torque)),
+    )
+
+
+# The magnets come on again while the rotor lies in its touchdown bearings.
+#
+# The controller runs sampled, with its computing delay, its currents and the sensors' readings at
+# their limits. Its slow states (below 1 Hz: integrators) hold what carried the weight before the
+# loss, and rest as long as the rotor touches; synchronous blocks are off. Magnets pull with their
+# nonlinear force through the bandwidth of the amplifier; its voltage has no limit here.
+
+
+_SLOW = 2 * np.pi  # [rad/s] up to which a state counts as an integrator
+_IDEAL = 3e4  # [rad/s] of an amplifier that the file states as ideal
+
+
+@dataclass(frozen=True, slots=True)
+class Recovery:
+    """time [s] from power to the last contact, inf where the rotor touches in the last tenth of
+    what was simulated; force [N]: largest contact force with the magnets on.
+    """
+
+    start: float
+    time: float
+    force: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, SI; a recovery that never came is null."""
+        time = self.time if math.isfinite(self.time) else None
+        return {"power_back": self.start, "time": time, "largest_force_0p": self.force}
+
+
+def with_magnets(machine: Machine, fallen: FallenRotor, rig: Rig, point: OperatingPoint) -> Rig:
+    """The rig with its magnets, at the point's bias current."""
+    amplifier = machine.amplifier
+    known = (amplifier.bandwidth, amplifier.natural_frequency, _IDEAL)
+    bandwidth = next(value for value in known if value is not None)
+    angles = [bearing.angle for bearing in machine.bearings]
+    bias = point.bias_current
+    return rig._replace(
+        axes=np.column_stack([np.cos(angles), np.sin(angles)]),
+        magnets=np.array([magnet.parameters(bearing, bias) for bearing in machine.bearings]),
+        sensors=np.ascontiguousarray(fallen.sensor_rows),
+        bandwidth=min(float(bandwidth), _IDEAL),
+    )
+
+
+def sampled_law(
+    machine: Machine, law: LawLike, point: OperatingPoint, dt: float
+) -> tuple[SampledLaw, float]:
+    """(the controller between samples, the step [s] that divides its sample time). Raises
+    InvalidInput where nothing says its rate.
+    """
+    timing = timing_of(machine, law)
+    if timing is None:
+        raise InvalidInput(
+            "nothing says at which rate the controller runs; give sample_time in [controller] of "
+            "the machine file"
+        )
+    system = law_of(law).at(point)
+    period = math.ceil(timing.sample_time / dt)
+    late = timing.delay_samples * timing.sample_time
+    if system.dt is None:
+        sampled = c2d(system, timing.sample_time, "tustin", late)
+    else:
+        sampled = _late(system, timing.delay_samples)
+    parts, slow = slow_first(sampled, timing.sample_time)
+    currents = [b.max_current or b.bias_current for b in machine.bearings]
+    gaps = [b.gap or 2 * (b.touchdown_gap or math.inf) for b in machine.bearings]
+    law_arrays = SampledLaw(*parts, slow, period, float(min(currents)), float(min(gaps)))
+    return law_arrays, timing.sample_time / period
+
+
+def _late(system: StateSpace, samples: int) -> StateSpace:
+    """A sampled system whose inputs arrive so many samples later."""
+    m = system.B.shape[1]
+    for _ in range(samples):
+        A = np.block([[system.A, system.B], [np.zeros((m, len(system.A))), np.zeros((m, m))]])
+        B = np.vstack([np.zeros((len(system.A), m)), np.eye(m)])
+        C = np.hstack([system.C, system.D])
+        system = StateSpace(
+            A, B, C, np.zeros_like(system.D), system.inputs, system.outputs, system.dt
+        )
+    return system
+
+
+def slow_first(
+    system: StateSpace, sample_time: float
+) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], int]:
+    """((A, B, C, D), how many): the same system with its slow poles apart and first."""
+    if not len(system.A):
+        return (system.A, system.B, system.C, system.D), 0
+    least = math.exp(-_SLOW * sample_time)
+    T, Z, count = sla.schur(
+        system.A, output="real", sort=lambda re, im=0.0: math.hypot(re, im) > least
+    )
+    # T = [T1 T12; 0 T2]; x = [I X; 0 I] z with T1 X - X T2 = -T12 parts the two
+    turn, back = np.eye(len(T)), np.eye(len(T))
+    if 0 < count < len(T):
+        X = sla.solve_sylvester(T[:count, :count], -T[count:, count:], -T[:count, count:])
+        turn[:count, count:] = X
+        back[:count, count:] = -X
+        T = sla.block_diag(T[:count, :count], T[count:, count:])
+    arrays = (T, back @ Z.T @ system.B, system.C @ Z @ turn, system.D)
+    a, b, c, d = (np.ascontiguousarray(item, dtype=float) for item in arrays)
+    return (a, b, c, d), int(count)
+
+
+def held_states(
+    machine: Machine, fallen: FallenRotor, law: SampledLaw, point: OperatingPoint
+) -> np.ndarray:
+    """The controller's states (s,) before the loss: slow ones that carry the weight, least in size.
+
+    Forces f at the axes balance the weight in the rotor's four rigid coordinates: N^T f = -w; the
+    currents are f/k_i, and C x = f/k_i of the slow states.
+    """
+    states = np.zeros(len(law.A))
+    if not law.slow:
+        return states
+    rows = []
+    for bearing, (x, y) in zip(machine.bearings, fallen.rows, strict=True):
+        c, s = math.cos(bearing.angle), math.sin(bearing.angle)
+        rows += [c * x + s * y, c * y - s * x]
+    rigid = np.array(rows)[:, :4]
+    force = np.linalg.lstsq(rigid.T, -fallen.weight[:4], rcond=None)[0]
+    currents = force / magnet_coefficients(machine, point)[0]
+    states[: law.slow] = np.linalg.lstsq(law.C[:, : law.slow], currents, rcond=None)[0]
+    return states
+
+
+def recovery_of(fall: Fall, start: float, duration: float) -> Recovery:
+    """What a drop with power from ``start`` [s] on ended with."""
+    last = float(fall.figures[:, 12].max())
+    free = last < duration - 0.1 * (duration - start)
+    time = max(last - start, 0.0) if free else math.inf
+    return Recovery(start, time, float(fall.figures[:, 13].max()))
+
 
 WHIP_MODEL = (
     "linear rotor without its magnets, touchdown bearing at its clearance and in steady slip, one "

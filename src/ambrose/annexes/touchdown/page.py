@@ -2,24 +2,367 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from ambrose.annexes.touchdown.analysis import HEADS, WHIP_MODEL, Landing
-from ambrose.annexes.touchdown.campaign import FRICTION, MOUNT, SPEED, WHIRLS
-from ambrose.annexes.touchdown.drop_figures import (
-    FRAME_TIME,
-    FRAMES,
-    SHOWN,
-    axial_figure,
-    distribution_figure,
-    history_figure,
-    slow_motion,
-)
-from ambrose.annexes.touchdown.thrust_face import AxialDrop
-from ambrose.annexes.touchdown.whip_figures import map_figure, needed_figure
+from ambrose.annexes.touchdown.analysis import HEADS, WHIP_MODEL, Landing, WhipMap
+from ambrose.annexes.touchdown.campaign import FRICTION, MOUNT, SPEED, WHIRLS, AxialDrop, Campaign
 from ambrose.machine.file.toml import machine_hash
+from ambrose.report import theme
+from ambrose.report.figures.motion import add_controls
 from ambrose.report.figures.rotor_drawing import machine_drawing
 from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict, numbers
+
+# Pictures of drops: the orbit in slow motion, speeds and forces over time, the distribution.
+
+
+FRAMES = 160  # of the animation, at most
+SHOWN = 0.12  # [s] after the first contact
+_TRAIL = 40  # frames that stay visible
+FRAME_TIME = 60  # [ms]
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
+
+
+def slow_motion(result: Landing) -> Any:
+    """The rotor's centre in every touchdown bearing against its clearance, with what it meets,
+    which gives way: a figure with frames and a slider.
+    """
+    import plotly.graph_objects as go
+
+    log, names = result.fall.log, result.fallen.names
+    touched = result.fall.figures[:, 0]
+    first = float(touched[touched >= 0].min()) if (touched >= 0).any() else 0.0
+    window = np.flatnonzero((log[:, 0] >= 0.6 * first) & (log[:, 0] <= first + SHOWN))
+    moments = window[np.unique(np.linspace(0, len(window) - 1, FRAMES).astype(int))]
+    figure = theme.subplots(rows=1, cols=len(names), horizontal_spacing=0.12)
+    turn = np.linspace(0, 2 * np.pi, 61)
+    gap = max(bearing.clearance for bearing in result.fallen.bearings)
+    deep = np.hypot(log[window, 2::8], log[window, 3::8]).max() if len(window) else gap
+    reach = 1.12e6 * max(gap, float(deep))
+    moving: list[int] = []
+    for k, name in enumerate(names):
+        place = {"row": 1, "col": k + 1}
+        circle = 1e6 * result.fallen.bearings[k].clearance
+        theme.guide(
+            figure,
+            place,
+            np.float32(circle * np.cos(turn)),
+            np.float32(circle * np.sin(turn)),
+            color=theme.FAINT,
+            width=1,
+        )
+        for style in ({"color": theme.LIMIT, "width": 1.6}, {"color": _COLOURS[0], "width": 1.4}):
+            moving.append(len(figure.data))
+            theme.scatter(figure, place, [], [], mode="lines", line=style, hoverinfo="skip")
+        moving.append(len(figure.data))
+        theme.scatter(
+            figure,
+            place,
+            [],
+            [],
+            mode="markers",
+            marker={"size": 9, "color": theme.INK},
+            hoverinfo="skip",
+        )
+        theme.heading(figure, place, theme.plain(name))
+        figure.update_xaxes(range=[-reach, reach], title_text="x [um]", **place)
+        figure.update_yaxes(
+            range=[-reach, reach],
+            scaleanchor=f"x{k + 1 if k else ''}",
+            title_text="y [um]",
+            **place,
+        )
+
+    def shown(i: int) -> list[Any]:
+        """The moving lines at the moment i."""
+        found = []
+        for k in range(len(names)):
+            at = 2 + 8 * k
+            x, y = 1e6 * log[moments, at], 1e6 * log[moments, at + 1]
+            met = 1e6 * log[moments[i], at + 4 : at + 6]
+            circle = 1e6 * result.fallen.bearings[k].clearance
+            part = slice(max(i - _TRAIL, 0), i + 1)
+            found += [
+                go.Scatter(
+                    x=np.float32(met[0] + circle * np.cos(turn)),
+                    y=np.float32(met[1] + circle * np.sin(turn)),
+                ),
+                go.Scatter(x=np.float32(x[part]), y=np.float32(y[part])),
+                go.Scatter(x=[float(np.float32(x[i]))], y=[float(np.float32(y[i]))]),
+            ]
+        return found
+
+    if len(moments):
+        last = shown(len(moments) - 1)
+        for index, trace in zip(moving, last, strict=True):
+            figure.data[index].update(x=trace.x, y=trace.y)
+    labels = [f"{i}" for i in range(len(moments))]
+    figure.frames = [
+        go.Frame(name=label, traces=moving, data=shown(i)) for i, label in enumerate(labels)
+    ]
+    theme.dress(figure, 330, legend=False)
+    add_controls(
+        figure,
+        labels,
+        [f"{1e3 * t:.1f} ms" for t in log[moments, 0]],
+        FRAME_TIME,
+        below=44,
+        left=0.24,
+        margin=112,
+        growth=64,
+        active=len(labels) - 1,
+    )
+    return figure
+
+
+def history_figure(result: Landing) -> Any:
+    """Contact forces, and speeds of races and rotor, over the drop."""
+    log, names = result.fall.log, result.fallen.names
+    figure = theme.subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.1)
+    looks = theme.styles(names)
+    for k, name in enumerate(names):
+        for row, column, scale in ((1, 4 + 8 * k, 1e-3), (2, 5 + 8 * k, 30 / np.pi)):
+            if row == 2 and not result.fallen.bearings[k].race_mass:
+                continue
+            x, y = _coarse(log[:, 0], log[:, column] * scale)
+            theme.scatter(
+                figure,
+                {"row": row, "col": 1},
+                np.float32(1e3 * x),
+                np.float32(y),
+                name,
+                shown=row == 1,
+                mode="lines",
+                line={**looks[name].line, "width": 1.2},
+                hovertemplate="%{x:.4g} ms: %{y:.4g}<extra></extra>",
+            )
+    x, y = _coarse(log[:, 0], log[:, 1] * 30 / np.pi)
+    theme.scatter(
+        figure,
+        {"row": 2, "col": 1},
+        np.float32(1e3 * x),
+        np.float32(y),
+        "rotor",
+        shown=True,
+        mode="lines",
+        line={"color": theme.INK, "width": 1.4, "dash": "dash"},
+        hovertemplate="%{x:.4g} ms: %{y:.4g} rpm<extra></extra>",
+    )
+    theme.dress(figure, 400, legend=True)
+    figure.update_yaxes(title_text="Contact force [kN]", row=1, col=1)
+    figure.update_yaxes(title_text="Speed [rpm]", rangemode="tozero", row=2, col=1)
+    figure.update_xaxes(title_text="Time after the loss of power [ms]", row=2, col=1)
+    return figure
+
+
+def axial_figure(drop: AxialDrop) -> Any:
+    """Place of the collar between stop and magnet, and the stop's force, until it rests."""
+    figure = theme.subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.1)
+    end = drop.time[-1] if drop.settled is None else 1.3 * drop.settled
+    window = drop.time <= end
+    time, sign = 1e3 * drop.time[window], 1.0 if drop.thrust > 0 else -1.0
+    for row, values, unit in ((1, 1e6 * drop.place, "um"), (2, 1e-3 * drop.force, "kN")):
+        theme.scatter(
+            figure,
+            {"row": row, "col": 1},
+            np.float32(time),
+            np.float32(values[window]),
+            mode="lines",
+            line={"color": _COLOURS[0], "width": 1.4},
+            hovertemplate=f"%{{x:.4g}} ms: %{{y:.4g}} {unit}<extra></extra>",
+        )
+    ends = [0.0, float(time[-1])]
+    for words, at, style in (
+        ("stop", drop.way, {"color": theme.MUTED, "width": 1.4, "dash": "dash"}),
+        ("magnet", drop.gap, {"color": theme.LIMIT, "width": 1.6}),
+    ):
+        theme.scatter(
+            figure,
+            {"row": 1, "col": 1},
+            np.array(ends, np.float32),
+            np.full(2, 1e6 * sign * at, np.float32),
+            words,
+            shown=True,
+            mode="lines",
+            line=style,
+            hoverinfo="skip",
+        )
+    theme.dress(figure, 360, legend=True)
+    figure.update_yaxes(title_text="Place along the shaft [um]", row=1, col=1)
+    figure.update_yaxes(title_text="Force of the stop [kN]", rangemode="tozero", row=2, col=1)
+    figure.update_xaxes(title_text="Time after the loss of power [ms]", row=2, col=1)
+    return figure
+
+
+def _coarse(x: np.ndarray, y: np.ndarray, most: int = 1500) -> tuple[np.ndarray, np.ndarray]:
+    """At most so many points, the largest value of each stretch among them."""
+    if len(x) <= most:
+        return x, y
+    width = -(-len(x) // most)
+    count = len(x) // width
+    chosen = y[: count * width].reshape(count, width).argmax(axis=1) + width * np.arange(count)
+    return x[chosen], y[chosen]
+
+
+def distribution_figure(campaign: Campaign, names: tuple[str, ...]) -> Any:
+    """How many drops have at most a force, by bearing; and turns against the spin over friction."""
+    figure = theme.subplots(rows=1, cols=2, horizontal_spacing=0.14)
+    looks = theme.styles(names)
+    share = np.linspace(0, 1, 201)
+    for k, name in enumerate(names):
+        force = np.quantile(campaign.force[:, k], share) / 1e3
+        theme.scatter(
+            figure,
+            {"row": 1, "col": 1},
+            np.float32(force),
+            np.float32(100 * share),
+            name,
+            shown=True,
+            mode="lines",
+            line=looks[name].line,
+            hovertemplate="%{x:.4g} kN: %{y:.3g} %<extra></extra>",
+        )
+    figure.update_xaxes(title_text="Largest force [kN]", rangemode="tozero", row=1, col=1)
+    figure.update_yaxes(title_text="Drops with at most that [%]", row=1, col=1)
+    few = slice(0, 1500)
+    turns, whirls = campaign.turns[few], campaign.whirls[few]
+    for chosen, colour, words in (
+        (~whirls, theme.MUTED, "no whirl"),
+        (whirls, "#d55e00", "whirls"),
+    ):
+        theme.scatter(
+            figure,
+            {"row": 1, "col": 2},
+            np.float32(campaign.cases[few][chosen, 0]),
+            np.float32(np.maximum(turns[chosen], 0.1)),
+            words,
+            shown=True,
+            mode="markers",
+            marker={"size": 3, "color": colour, "opacity": 0.6},
+            hovertemplate="friction factor %{x:.3g}: %{y:.3g} turns<extra></extra>",
+        )
+    theme.guide(
+        figure, {"row": 1, "col": 2}, [0.5, 1.5], [WHIRLS] * 2, color=theme.INK, width=1, dash="dot"
+    )
+    top = max(2 * WHIRLS, float(turns.max()))
+    figure.update_xaxes(title_text="Friction over the file's", row=1, col=2)
+    figure.update_yaxes(
+        title_text="Turns against the spin", row=1, col=2, **theme.decades(0.1, 1.1 * top)
+    )
+    theme.dress(figure, 300, legend=True)
+    return figure
+
+
+# Pictures of whip: what it needs over its frequency, and its edge over friction and mount.
+
+
+_ONE = {"row": 1, "col": 1}
+_TURN = 2 * np.pi  # rad
+
+
+def needed_figure(result: Landing) -> Any:
+    """Friction that whip needs over its frequency, beside what the bearings have."""
+    figure = theme.subplots(rows=1, cols=1)
+    looks = theme.styles([curve.kind for curve in result.curves])
+    shown = {whip.kind for whip in result.whips}
+    for curve in result.curves:
+        if curve.kind in shown:
+            theme.scatter(
+                figure,
+                _ONE,
+                np.float32(curve.frequency / _TURN),
+                np.float32(curve.friction),
+                curve.kind,
+                shown=True,
+                mode="lines",
+                line=looks[curve.kind].line,
+                hovertemplate="%{x:.4g} Hz: %{y:.3g}<extra></extra>",
+            )
+    ends = np.array([curve.frequency[[0, -1]] for curve in result.curves]) / _TURN
+    low, high = float(ends.min()), float(ends.max())
+    for mu in sorted({bearing.friction for bearing in result.fallen.bearings}):
+        theme.guide(figure, _ONE, [low, high], [mu, mu], color=theme.INK, width=1, dash="dot")
+        theme.note(figure, _ONE, f"friction {mu:g}", np.log10(low), mu, "left", "bottom")
+    turn = result.point.speed / _TURN
+    theme.guide(figure, _ONE, [turn, turn], [0, 1], color=theme.MUTED, width=1, dash="dash")
+    theme.note(figure, _ONE, "speed", np.log10(turn), 1, "left", "top")
+    theme.dress(figure, 280, legend=True)
+    figure.update_xaxes(title_text="Whip frequency [Hz]", **theme.decades(low, high))
+    figure.update_yaxes(title_text="Friction needed", range=[0, 1])
+    return figure
+
+
+def map_figure(item: WhipMap, quantity: str) -> Any:
+    """The edge over friction and mount stiffness at the mount's own damping, with the machine's
+    place. quantity: "frequency" or "force".
+    """
+    import plotly.graph_objects as go
+
+    middle = len(item.damping) // 2
+    values = getattr(item, quantity)[middle]
+    scale = _TURN if quantity == "frequency" else 1e3
+    there = np.isfinite(values) & (values > 0)
+    shown = np.full(values.shape, np.nan)
+    shown[there] = np.log10(values[there] / scale)
+    figure = theme.subplots(rows=1, cols=1)
+    low, high = (np.nanmin(shown), np.nanmax(shown)) if there.any() else (0.0, 1.0)
+    ticks = np.linspace(low, high, 5)
+    unit = "Hz" if quantity == "frequency" else "kN"
+    figure.add_trace(
+        go.Heatmap(
+            x=np.float32(item.friction),
+            y=np.float32(item.stiffness / 1e6),
+            z=np.float32(shown),
+            customdata=np.float32(np.where(there, values / scale, 0)),
+            colorscale="Viridis",
+            colorbar={
+                "thickness": 12,
+                "tickvals": ticks.tolist(),
+                "ticktext": [f"{10**v:.3g}" for v in ticks],
+                "title": {"text": unit},
+            },
+            hovertemplate="friction %{x:.3g}, %{y:.3g} N/um: %{customdata:.4g} "
+            + unit
+            + "<extra></extra>",
+        ),
+        **_ONE,
+    )
+    if item.place is not None:
+        mu, stiffness, _ = item.place
+        theme.scatter(
+            figure,
+            _ONE,
+            [mu],
+            [stiffness / 1e6],
+            mode="markers",
+            marker={
+                "symbol": "diamond",
+                "size": 13,
+                "color": "white",
+                "line": {"color": "black", "width": 2},
+            },
+            hovertemplate="this machine<extra></extra>",
+        )
+        theme.note(
+            figure,
+            _ONE,
+            "this machine",
+            np.log10(mu),
+            np.log10(stiffness / 1e6) + 0.06,
+            "center",
+            "bottom",
+            colour="black",
+            bgcolor="rgba(255,255,255,0.8)",
+        )
+    theme.dress(figure, 300, legend=False)
+    figure.update_xaxes(
+        title_text="Friction", **theme.decades(float(item.friction[0]), float(item.friction[-1]))
+    )
+    span = theme.decades(float(item.stiffness[0]) / 1e6, float(item.stiffness[-1]) / 1e6)
+    figure.update_yaxes(title_text="Mount stiffness [N/um]", **span)
+    return figure
+
 
 _WHIP = (
     "Backward whip: friction at the touchdown bearing drives the rotor around against its spin. "

@@ -38,7 +38,7 @@ def workbench(
     good once; whoever opens it may do here what you may. Ctrl-C ends it, with all that it started.
     """
     from ambrose.core.checks import InvalidInput
-    from ambrose.core.listening import listening
+    from ambrose.core.processes import listening
 
     try:
         from ambrose.annexes.workbench.server import serve

@@ -25,8 +25,7 @@ from ambrose.annexes.workbench import blocks
 from ambrose.annexes.workbench.project import KINDS as FOLDERS
 from ambrose.annexes.workbench.project import MACHINE, Project
 from ambrose.core.checks import AmbroseError, InvalidInput
-from ambrose.machine.atomic_write import make_folder, write_json
-from ambrose.machine.json_text import parse_json
+from ambrose.machine.ordinary_file import make_folder, parse_json, write_json
 
 # words of a command; what stands in braces the page names
 KINDS: dict[str, tuple[str, ...]] = {

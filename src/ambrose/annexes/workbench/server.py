@@ -24,18 +24,18 @@ from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from ambrose.annexes.workbench import blocks, uploads
+from ambrose.annexes.workbench import blocks
+from ambrose.annexes.workbench import project as uploads
 from ambrose.annexes.workbench.blocks import Refusal
-from ambrose.annexes.workbench.clock import Clock
 from ambrose.annexes.workbench.desk import Desk
 from ambrose.annexes.workbench.guard import BODY, PAGE_POLICY, App, Guard
 from ambrose.annexes.workbench.jobs import Jobs
+from ambrose.annexes.workbench.live import THREAD, Clock, LiveRoom
 from ambrose.annexes.workbench.project import KINDS, Project
 from ambrose.annexes.workbench.screens import TITLES
-from ambrose.annexes.workbench.viewers import THREAD, LiveRoom
 from ambrose.core.checks import AmbroseError, InvalidInput
-from ambrose.core.listening import names_of
-from ambrose.machine.claim import claimed
+from ambrose.core.processes import names_of
+from ambrose.machine.ordinary_file import claimed
 
 if TYPE_CHECKING:
     import h11

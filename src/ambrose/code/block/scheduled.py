@@ -10,20 +10,22 @@ matrices on a grid of speeds, pressures or both.
     x += increment x + B e + unwind (us - u)
 
 Linear in v between grid points and continuous across them; what changes is computed as few signals
-(block/changes.py). At a frozen v the law of block/fixed.py, other gains. With L = unwind, x[k+1] =
-(A - L C) x + (B - L D) e + L us holds whatever is limited. Peak gains of that system bound the
+(block/scheduled.py). At a frozen v the law of block/block.py, other gains. With L = unwind, x[k+1]
+= (A - L C) x + (B - L D) e + L us holds whatever is limited. Peak gains of that system bound the
 states at every grid point and three values in every interval, frozen: within +-1 in the scaled
 states. For any motion of v the states are bounded where one quadratic Lyapunov function serves all
-its values, which is examined (block/motion.py).
+its values, which is examined (block/scheduled.py).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
 from itertools import combinations
 from typing import Any, Self
 
 import numpy as np
+import scipy.linalg as sla
 from numpy.typing import ArrayLike
 
 from ambrose.code.block.block import (
@@ -31,22 +33,278 @@ from ambrose.code.block.block import (
     HOLD_SAMPLES,
     WINDUP_TIME,
     Block,
+    ControlBlock,
     Settings,
     anti_windup_gain,
     check_settings,
+    names_in_code,
     slow_states,
     transfer_gains,
 )
-from ambrose.code.block.changes import Changes, beside_blocks, changes_of
-from ambrose.code.block.motion import Motion, bound_motion
-from ambrose.code.block.names import names_in_code
 from ambrose.code.sampled import ScheduledDeployment
-from ambrose.core.checks import InvalidInput, UnstableSystem, check_positive, check_shape, invalid
-from ambrose.core.peak_gain import peak_gains
+from ambrose.core.checks import (
+    InvalidInput,
+    NumericalFailure,
+    UnstableSystem,
+    check_positive,
+    check_shape,
+    invalid,
+)
+from ambrose.core.frequency import peak_gains
+from ambrose.core.matrix_inequalities import Inequality, minimise, smat, svec
 from ambrose.core.scheduled import ScheduledSystem, corners, grid_points, interval_points
 from ambrose.core.statespace import StateSpace
-from ambrose.law.law import law_of
-from ambrose.law.scheduling import SPEED, Scheduling
+from ambrose.law.law import SPEED, Scheduling, law_of
+from ambrose.law.supervision import Limits, Matrices, SupervisedLaws, SupervisedProgram
+
+# What changes over the grid of a schedule, as few signals: seals and speed enter a rotor at few
+# places.
+#
+#     [[A - I, B], [C, D]] at grid point i = fixed + left core_i right
+#
+# A plant whose states see the parameter through r forces has, by the closed form of the synthesis
+# and by Tustin's map, a controller that changes in a matrix of rank 2 r between the same two spaces
+# at every point. The code then takes the fixed part, which is in modal form, once, and interpolates
+# ``core`` alone. Nothing is assumed: the spaces are found from the matrices.
+
+
+_ROUNDING = 1e-11  # of the rows' and columns' own sizes: what transforms to modal states leave
+_SWEEPS = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Changes:
+    """fixed (n + p, n + m), left (n + p, r), core (k, r, q), right (q, n + m): of states and
+    errors, to states and currents.
+    """
+
+    fixed: np.ndarray
+    left: np.ndarray
+    core: np.ndarray
+    right: np.ndarray
+
+    @property
+    def ranks(self) -> tuple[int, int]:
+        """r and q."""
+        return self.left.shape[1], len(self.right)
+
+    def single(self) -> Self:
+        """In numbers that single precision holds."""
+        parts = {
+            name: np.float32(getattr(self, name)).astype(float)
+            for name in ("fixed", "left", "core", "right")
+        }
+        return replace(self, **parts)
+
+    def tables(self) -> np.ndarray:
+        """The whole matrix (k, n + p, n + m) at every grid point."""
+        return np.asarray(self.fixed + self.left @ self.core @ self.right)
+
+
+def changes_of(tables: np.ndarray, beside: np.ndarray) -> Changes:
+    """Of the matrices (k, n + p, n + m) at every grid point; beside (n + p, n + m): what of the
+    middle one is rounding.
+    """
+    middle = tables[len(tables) // 2]
+
+    # differences from the middle point, entries of all about 1: rounding is then of one size
+    moved = tables - middle
+    rows, columns = _sizes(np.abs(tables).max(axis=0))
+    scaled = moved / rows[:, None] / columns
+    size = _ROUNDING * max(1.0, np.abs(scaled).max(initial=0.0))
+
+    # columns that span those of every difference, and the same of their rows
+    left, right = _space(np.hstack(list(scaled)), size), _space(np.vstack(list(scaled)).T, size)
+
+    # moved_i = rows left (left' scaled_i right) right' columns
+    return Changes(
+        middle - beside, left * rows[:, None], left.T @ scaled @ right, right.T * columns
+    )
+
+
+def _sizes(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """rows (n,) and columns (m,) by whose products the entries of x (n, m), none negative, are at
+    most about 1.
+    """
+    rows, columns = np.ones(len(x)), np.ones(x.shape[1])
+    for _ in range(_SWEEPS if x.size else 0):
+        for sizes, axis in ((rows, 1), (columns, 0)):
+            # half of each row's excess, then half of each column's: the product tends to 1
+            largest = (x / rows[:, None] / columns).max(axis=axis)
+            np.multiply(sizes, np.sqrt(np.where(largest > 0, largest, 1.0)), out=sizes)
+    return rows, columns
+
+
+def _space(moved: np.ndarray, size: float) -> np.ndarray:
+    """Orthonormal columns (n, r) that span those of ``moved`` but for what is smaller than
+    ``size``.
+    """
+    U, s, _ = np.linalg.svd(moved, full_matrices=False)
+    return U[:, s > size * np.sqrt(max(moved.shape))]
+
+
+def beside_blocks(increments: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
+    """What the matrix (k, n, n) of the middle point has beside blocks of these sizes (n, n), where
+    it is rounding; else 0.
+    """
+    middle = increments[len(increments) // 2]
+
+    # entries between different blocks; where they are more than rounding they stay
+    owner = np.repeat(np.arange(len(sizes)), sizes)
+    outside = np.where(owner[:, None] == owner, 0.0, middle)
+    small = np.abs(outside).max(initial=0.0) <= _ROUNDING * np.abs(middle).max(initial=0.0)
+    return outside if small else np.zeros_like(outside)
+
+
+# States of a scheduled block while its parameter moves: a common quadratic Lyapunov function, and
+# the bound that it gives.
+#
+# Between grid points A - L C = sum over i, j of s_i s_j (A_i - L_i C_j) with shares that add up to
+# one, so that every such matrix is a convex combination of its values at these points and of the
+# means of the two mixed terms of every pair. What contracts in one norm |x|_P at these vertices of
+# all intervals (cells, of two parameters) contracts in it along every motion of it, jumps included
+# (Boyd, El Ghaoui, Feron & Balakrishnan 1994, Linear Matrix Inequalities in System and Control
+# Theory, sec. 5.1).
+
+
+_TIME_LIMIT = 20.0  # s
+_LARGEST = 30  # states; beyond, only the candidate of the middle grid point is tried
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """contraction [-]: of |x|_P in a sample at every point and across every move; states (n,):
+    bounds on the states with every input at its limit, for any motion; infinite where contraction
+    is not below 1, so that nothing is proved.
+    """
+
+    contraction: float
+    states: np.ndarray
+
+    @property
+    def proved(self) -> bool:
+        return self.contraction < 1
+
+
+def bound_motion(
+    increment: np.ndarray,
+    B: np.ndarray,
+    C: np.ndarray,
+    D: np.ndarray,
+    unwind: np.ndarray,
+    inputs: np.ndarray,
+    pairs: list[tuple[int, int]],
+) -> Motion:
+    """The common Lyapunov function of A - L C over a grid, and the states' bounds.
+
+    increment (k, n, n): A - I; B (k, n, m), C (k, p, n), D (k, p, m), unwind (k, n, p): L; inputs
+    (m + p,): the largest errors and the largest currents given; pairs: of neighbouring points.
+    Examined, never assumed: the contraction is recomputed from the function that was found.
+    """
+    n = increment.shape[1]
+    if n == 0:
+        return Motion(0.0, np.zeros(0))
+    A = np.eye(n) + increment
+    vertices = _vertices(A, unwind, C, pairs)
+    best = np.inf
+    for P in _candidates(vertices):
+        try:
+            root = np.linalg.cholesky((P + P.T) / 2)  # P = R R^T, |x|_P = |R^T x|
+        except np.linalg.LinAlgError:
+            continue
+
+        # |N|_P = |R^T N R^-T|_2, the largest over the vertices
+        contraction = max(float(np.linalg.norm(_in_norm(root, N), 2)) for N in vertices)
+        if contraction < 1:
+            # |x|_P <= push/(1 - contraction) with push the sum of the columns' |b|_P times their
+            # limits, and |x_i| <= sqrt((P^-1)_ii) |x|_P
+            push = max(
+                float(np.linalg.norm(root.T @ b, axis=0) @ inputs)
+                for b in _driving(B, unwind, D, pairs)
+            )
+            # sqrt of the diagonal of P^-1
+            reach = np.linalg.norm(sla.solve_triangular(root, np.eye(n), lower=True), axis=0)
+            return Motion(contraction, reach * push / (1 - contraction))
+        best = min(best, contraction)
+    return Motion(best, np.full(n, np.inf))
+
+
+def _in_norm(root: np.ndarray, N: np.ndarray) -> np.ndarray:
+    """R^T N R^-T: N in states in which |x|_P is the Euclidean norm."""
+    return root.T @ sla.solve_triangular(root, N.T, lower=True).T
+
+
+def _vertices(
+    A: np.ndarray, L: np.ndarray, C: np.ndarray, pairs: list[tuple[int, int]]
+) -> list[np.ndarray]:
+    """A - L C at the grid points, then the mean of the mixed terms of every pair of neighbours."""
+    # sum s_i s_j (A_i - L_i C_j) = sum s_i^2 V_ii + sum_(i<j) 2 s_i s_j (V_ij + V_ji)/2
+    own = [a - gain @ c for a, gain, c in zip(A, L, C, strict=True)]
+    mixed = [(A[i] + A[j] - L[i] @ C[j] - L[j] @ C[i]) / 2 for i, j in pairs]
+    return own + mixed
+
+
+def _driving(
+    B: np.ndarray, L: np.ndarray, D: np.ndarray, pairs: list[tuple[int, int]]
+) -> list[np.ndarray]:
+    """[B - L D, L] at the same vertices: what errors and given currents add to the states."""
+    gains = [*L, *((L[i] + L[j]) / 2 for i, j in pairs)]
+    return [np.hstack([b, gain]) for b, gain in zip(_vertices(B, L, D, pairs), gains, strict=True)]
+
+
+def _candidates(vertices: list[np.ndarray]) -> Iterator[np.ndarray]:
+    """Lyapunov functions, the cheap one first: of the middle vertex, then of all of them by matrix
+    inequalities.
+    """
+    n = len(vertices[0])
+    middle = vertices[(len(vertices) // 2) // 2]
+    try:
+        P = sla.solve_discrete_lyapunov(middle.T, np.eye(n))
+        root = np.linalg.cholesky((P + P.T) / 2)
+    except (np.linalg.LinAlgError, ValueError):
+        return
+    yield P
+    if n > _LARGEST:
+        return
+
+    # the rest in the first candidate's norm, where the vertices are of order one: P = R X R^T
+    found = _common([_in_norm(root, N) for N in vertices])
+    if found is not None:
+        yield root @ found @ root.T
+
+
+def _common(vertices: list[np.ndarray]) -> np.ndarray | None:
+    """P <= I with P - N^T P N >= t I at every vertex, t as large as possible; None where none was
+    found.
+    """
+    n = len(vertices[0])
+
+    # P = sum of x_k basis_k; the last unknown is t
+    basis = smat(np.eye(n * (n + 1) // 2))
+    count = len(basis)
+    every = np.arange(count + 1)
+    one = svec(np.eye(n))
+
+    # I - P >= 0, then P - N^T P N - t I >= 0 at every vertex
+    items = [Inequality(-np.eye(count), one, every[:-1])]
+    for N in vertices:
+        items.append(
+            Inequality(
+                np.column_stack([svec(basis - N.T @ basis @ N).T, -one]), np.zeros(count), every
+            )
+        )
+    try:
+        found = minimise(
+            np.r_[np.zeros(count), -1.0],
+            items,
+            tolerance=1e-4,
+            time_limit=_TIME_LIMIT,
+            hopeless=-1e-12,
+        )
+    except NumericalFailure:
+        return None
+    return smat(found.x[:-1]) if found.x[-1] > 0 else None
+
 
 _EXAMINED = 3  # values in every interval at which the anti-windup is examined
 # times the highest of the grid: beyond it a value is implausible, if nobody says otherwise
@@ -409,3 +667,113 @@ def _transfer(
     if miss > _TRANSFER:
         return steady, pick, 0
     return steady, pick, 1 + int(np.ceil(np.log(_LEFT) / np.log(max(miss, _LEFT))))
+
+
+# A schedule over pressure with a fixed controller to fall back to, as one block: both laws in every
+# sample, one in charge.
+#
+#   u_i = C_i x_i + D_i e                       what either asks for
+#   us  = limited(u_charge + share left)        what acts; ``left`` of the difference at the last
+#                                               change fades with ``share``
+#   x_i += increment_i x_i + B_i e + L_i cut    cut = us - u_i of the one that waits,
+#                                               limited(us - share left) - u_i of the one in charge:
+#                                               zero within the limits
+#
+# L is the anti-windup gain of either block: to wait is to have what one asks for replaced by what
+# acts. Therefore the bounds on the states of block/block.py and block/scheduled.py hold, whoever is
+# in charge: what replaces u never leaves the limits. Who is in charge, and why: law/supervision.py,
+# which is also the block's twin in Python (``supervised_twin``).
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class SupervisedBlock(ScheduledBlock):
+    """What runs: a scheduled block, the fixed one that takes over, and what a reading has to keep
+    to.
+    """
+
+    fallback: ControlBlock
+    watch: Limits
+
+    @property
+    def transfers(self) -> bool:
+        return self.passes > 0 and self.fallback.transfers
+
+    def single(self) -> Self:
+        """The block with limits and grid that single precision holds. Raises InvalidInput where
+        grid points fall together.
+        """
+        return replace(
+            ScheduledBlock.single(self), fallback=self.fallback.single(), watch=_single(self.watch)
+        )
+
+    def samples(self, duration: float) -> int | None:
+        """The least number of samples that last so long [s]; None where that is for ever."""
+        if not np.isfinite(duration):
+            return None
+
+        # counted up by the product itself: the rounded quotient may be one off
+        count = max(0, round(duration / self.sample_time) - 2)
+        while count * self.sample_time < duration:
+            count += 1
+        return count
+
+
+def supervise(block: ScheduledBlock, fallback: ControlBlock, watch: Limits) -> SupervisedBlock:
+    """One block of two with the same signals, rate and delay. Raises InvalidInput."""
+    for what, own, other in (
+        ("inputs", ", ".join(block.inputs), ", ".join(fallback.inputs)),
+        ("outputs", ", ".join(block.outputs), ", ".join(fallback.outputs)),
+        ("sample time", f"{block.sample_time:g} s", f"{fallback.sample_time:g} s"),
+        ("delay", f"{block.delay} samples", f"{fallback.delay} samples"),
+    ):
+        if own != other:
+            raise invalid(
+                f"the {what} of the fallback",
+                other,
+                f"the schedule's, {own}",
+                "make both for one machine and loop",
+            )
+    if np.isfinite(block.rate_limits).any():
+        raise invalid(
+            "rate_limit of a supervised block",
+            block.rate_limit,
+            "left out",
+            "its readings have a rate of their own",
+        )
+    parts = {item.name: getattr(block, item.name) for item in fields(ScheduledBlock)}
+    return SupervisedBlock(**parts, fallback=fallback, watch=watch)
+
+
+def supervised_twin(block: SupervisedBlock, kind: Any = np.float64) -> SupervisedProgram:
+    """The block as a program in Python: what the code is compared with. kind: of its numbers.
+    Raises NumericalFailure.
+    """
+    fixed, axes = block.fallback, tuple(name.removeprefix("err_") for name in block.inputs)
+    points = zip(block.increment, block.B, block.C, block.D, block.unwind, strict=True)
+    pair = SupervisedLaws(
+        block.grid,
+        tuple(_law(point, kind) for point in points),
+        _law((fixed.increment, fixed.B, fixed.C, fixed.D, fixed.unwind), kind),
+        (
+            fixed.from_error.astype(kind) * block.transfers,
+            fixed.from_output.astype(kind) * block.transfers,
+        ),
+        block.current_limit.astype(kind),
+        axes,
+        block.sample_time,
+        block.delay,
+        True,
+    )
+    return SupervisedProgram(pair, block.watch)
+
+
+def _law(matrices: tuple[np.ndarray, ...], kind: Any) -> Matrices:
+    return tuple(x.astype(kind) for x in matrices)
+
+
+def _single(limits: Limits) -> Limits:
+    times = {"dwell", "fade", "stuck"}  # counted in samples
+    values = {
+        item.name: getattr(limits, item.name) for item in fields(Limits) if item.name not in times
+    }
+    return replace(limits, **{name: float(np.float32(value)) for name, value in values.items()})

@@ -2,42 +2,299 @@
 cost.
 
 The text of the code is in templates/; here are its numbers. The block's arithmetic, signs and
-timing: block/fixed.py, block/fixed_point.py, block/scheduled.py and docs/integrator.md. The code
+timing: block/block.py, block/fixed_point.py, block/scheduled.py and docs/integrator.md. The code
 needs no library, no heap and no recursion.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import hashlib
+import math
+import re
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
 
-from ambrose.code.block.block import Block
-from ambrose.code.block.cascade import CascadeBlock
-from ambrose.code.block.cascade_fixed import (
+from ambrose.code.block.block import Block, ControlBlock, as_comment, render
+from ambrose.code.block.cascade import (
+    CascadeBlock,
     FixedCascade,
     cascade_error,
     to_fixed_cascade,
     word_errors,
 )
-from ambrose.code.block.cost import increment_of, padding_of, scheduled_cost, step_cost
-from ambrose.code.block.fixed import ControlBlock
-from ambrose.code.block.fixed_point import HORIZON, LARGEST_ERROR, FixedBlock, to_fixed_point
-from ambrose.code.block.names import as_comment
-from ambrose.code.block.run import FLOOR, TOLD, TOLD_SECOND
-from ambrose.code.block.scheduled import ScheduledBlock
-from ambrose.code.block.supervised import SupervisedBlock
-from ambrose.code.block.vectors import Vectors, as_csv, make_scheduled_vectors, make_vectors
-from ambrose.code.block.word_length import BITS, MANTISSA, floating_error, gain_error, word_lengths
-from ambrose.code.c.identity import identity_facts, with_identity
-from ambrose.code.c.literals import diagonals, integer_table, literal, real_table
-from ambrose.code.c.supervised import supervision_facts
-from ambrose.code.rendering import render
-from ambrose.core.checks import invalid
+from ambrose.code.block.fixed_point import (
+    BITS,
+    HORIZON,
+    LARGEST_ERROR,
+    MANTISSA,
+    FixedBlock,
+    floating_error,
+    gain_error,
+    to_fixed_point,
+    word_lengths,
+)
+from ambrose.code.block.run import (
+    FLOOR,
+    TOLD,
+    TOLD_SECOND,
+    Vectors,
+    as_csv,
+    diagonals_of,
+    increment_of,
+    make_scheduled_vectors,
+    make_vectors,
+    padding_of,
+    scheduled_cost,
+    step_cost,
+)
+from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock
+from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.scheduled import grid_points
-from ambrose.machine.atomic_write import write_files
+from ambrose.law.supervision import Fault, State
+from ambrose.machine.ordinary_file import write_files
+from ambrose.version import __version__
+
+# Numbers and tables as C writes them; text broken into lines.
+
+
+_WIDTH = 118
+
+
+def digits(value: float, arithmetic: str) -> str:
+    """A number with all the digits of double or single precision. Raises InvalidInput where it is
+    larger than that precision holds.
+    """
+    if arithmetic == "double":
+        return f"{value:.17g}"
+    largest = float(np.finfo(np.float32).max)
+    if abs(value) > largest:
+        raise invalid(
+            "a number of the controller",
+            f"{value:.3g}",
+            f"at most {largest:.3g} in single precision",
+            "export it in double precision, or correct the exponent in its file",
+        )
+    return f"{float(np.float32(value)):.9g}"
+
+
+def literal(value: float, arithmetic: str) -> str:
+    """A floating-point number as C writes it."""
+    text = digits(value, arithmetic)
+    if not any(c in text for c in ".en"):
+        text += ".0"
+    return text if arithmetic == "double" else f"{text}f"
+
+
+def real_table(arithmetic: str) -> Callable[[np.ndarray], str]:
+    """The function that writes an array as a C initialiser of floating-point numbers."""
+    return lambda x: _initialiser(x, lambda v: literal(float(v), arithmetic))
+
+
+def integer_table(x: np.ndarray) -> str:
+    """An array as a C initialiser of whole numbers."""
+    return _initialiser(x, lambda v: str(int(v)))
+
+
+def _initialiser(x: np.ndarray, form: Callable[[float], str], indent: str = "    ") -> str:
+    if x.ndim > 1:
+        rows = ",\n".join(f"{indent}{_initialiser(row, form, indent + '    ')}" for row in x)
+        return "{\n" + rows + "\n" + indent[4:] + "}"
+    return (
+        "{"
+        + f"\n{indent}    ".join(lines_of([form(value) for value in x], _WIDTH - len(indent)))
+        + "}"
+    )
+
+
+def lines_of(items: Sequence[str], width: int = _WIDTH) -> list[str]:
+    """Items with commas between them in lines of at most ``width`` characters."""
+    lines, line = [], ""
+    for i, text in enumerate(items):
+        item = text + (", " if i + 1 < len(items) else "")
+        if line and len(line) + len(item) > width:
+            lines.append(line.rstrip())
+            line = ""
+        line += item
+    return [*lines, line]
+
+
+def diagonals(x: np.ndarray, pattern: np.ndarray) -> list[dict[str, Any]]:
+    """The diagonals of x (n, n) that are not zero in ``pattern`` (n, n): offset k, name, how they
+    index the states (i + k), and the entries x[i, i + k] row by row, zero outside the rows
+    first..last that they reach.
+    """
+    n = len(x)
+    listed = []
+    for k in diagonals_of(pattern):
+        entries = np.zeros(n, x.dtype)
+        rows = np.arange(max(0, -k), min(n, n - k))
+        entries[rows] = x[rows, rows + k]
+        listed.append(
+            {
+                "offset": k,
+                "name": f"{'below' if k < 0 else 'above'}_{abs(k)}" if k else "own",
+                "shift": f" {'-' if k < 0 else '+'} {abs(k)}" if k else "",
+                "entries": entries,
+                "first": int(rows[0]),
+                "last": int(rows[-1]),
+            }
+        )
+    return listed
+
+
+# What running code can be asked for: which code it is, and whether its tables are still those that
+# were written.
+#
+# The checksum is CRC-32 (IEEE 802.3: polynomial 0xEDB88320 reflected, start and end inverted) over
+# the numbers of the tables in the order of the text, least significant octet first whatever the
+# processor's byte order. The tables are read back out of the text, so that none can be forgotten.
+
+
+_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
+_TABLE = re.compile(
+    r"^static const (\w+) (\w+)((?:\[\w+\])+) =\s*(\{.*?\});[ \t]*$", re.DOTALL | re.M
+)
+_PLACES = ("law",)  # structures that point to tables
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_WORD = re.compile(r"[a-z_]\w*", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A constant table of a source text: the type of its numbers there, its name, and the numbers
+    as they lie in memory, little-endian.
+    """
+
+    kind: str
+    name: str
+    numbers: np.ndarray
+
+
+def tables_of(source: str, types: Mapping[str, str]) -> list[Table]:
+    """The constant tables of a source in their order.
+
+    types: {type in the text: numpy's}, such as {"real": "f8"}. Raises InvalidInput for a table
+    whose numbers cannot be read: a defect of the text, not of the controller.
+    """
+    found = []
+    plain = _COMMENT.sub("", source).replace("unsigned char", "uchar")
+    for kind, name, _, body in _TABLE.findall(plain):
+        digits = re.sub(r"(?<=[\d.])f\b", "", body)  # 1.5f: of single precision
+        left = _WORD.findall(_NUMBER.sub("", digits))
+        if kind in _PLACES:
+            continue
+        if left or kind not in types:
+            raise InvalidInput(f"the table {name} of type {kind} cannot be read back: {left[:3]}")
+        numbers = np.array([float(n) for n in _NUMBER.findall(digits)])
+        whole = types[kind][0] in "iu"
+        if whole:  # 64-bit words do not fit a double
+            numbers = np.array([int(n) for n in _NUMBER.findall(digits)])
+        dtype = np.dtype(f"<{types[kind]}")
+        found.append(Table(kind.replace("uchar", "unsigned char"), name, numbers.astype(dtype)))
+    return found
+
+
+def checksum(tables: list[Table]) -> int:
+    """CRC-32 of the tables, one after the other."""
+    value = 0
+    for table in tables:
+        value = zlib.crc32(table.numbers.tobytes(), value)
+    return value
+
+
+def identity_facts(name: str, source: str, types: Mapping[str, str]) -> dict[str, Any]:
+    """What identity.c.j2 and identity.h.j2 say of a source text: its tables, their checksum, and
+    the words that name this code: name, hash of the text, version of what wrote it.
+    """
+    tables = tables_of(source, types)
+    text = hashlib.sha256(source.encode()).hexdigest()[:16]
+    listed = [
+        {"name": t.name, "kind": t.kind, "count": t.numbers.size, "octets": t.numbers.itemsize}
+        for t in tables
+    ]
+    return {
+        "name": name,
+        "prefix": name.upper(),
+        "identified": listed,
+        "checksum": f"0x{checksum(tables):08X}u",
+        "identity": f"{name} {text} ambrose {__version__}",
+    }
+
+
+def with_identity(source: str, facts: Mapping[str, Any]) -> str:
+    """The source text with the functions that tell checksum and identity at its end."""
+    return source + render("identity.c.j2", facts)
+
+
+# What the templates of a scheduled controller say of the fixed one beside it, and of what a reading
+# has to keep to.
+
+
+def supervision_facts(
+    block: SupervisedBlock, arithmetic: str, table: Callable[[np.ndarray], str]
+) -> dict[str, Any]:
+    """The fixed law's tables, and the limits as numbers of the code; table: writes an array."""
+    fixed = block.fallback
+    watch = block.watch
+    dt = block.sample_time
+    low, high = padding_of(fixed)
+    fade, dwell, stuck = (block.samples(time) for time in (watch.fade, watch.dwell, watch.stuck))
+    watched = math.isfinite(watch.rate)
+    law = {
+        "suffix": "_fixed",
+        "varies": False,
+        "nr": 0,
+        "nx": fixed.n_states,
+        "low": low,
+        "padded": fixed.n_states + low + high,
+        "winding": fixed.winding,
+        "B": table(fixed.B.T),
+        "C": table(fixed.C.T),
+        "D": table(fixed.D.T),
+        "unwind": table(fixed.unwind[: fixed.winding].T),
+        "diagonals": [
+            {**d, "table": table(d["entries"])} for d in diagonals(fixed.increment, fixed.increment)
+        ],
+    }
+    numbers = {
+        "rate": watch.rate * dt if watched else 0.0,
+        "noise": watch.noise,
+        "band": watch.band,
+        "lowest": watch.low - watch.margin,
+        "highest": watch.high + watch.margin,
+        "fade_step": dt / watch.fade if watch.fade else 0.0,
+    }
+    doubts = [
+        "lost (not a number, infinite)",
+        f"beyond {watch.low - watch.margin:.6g} to {watch.high + watch.margin:.6g} Pa",
+    ]
+    doubts += (
+        [f"a step of more than {watch.noise:.6g} Pa and {watch.rate:.6g} Pa/s"] if watched else []
+    )
+    doubts += [f"the very same value for {watch.stuck:g} s"] if stuck is not None else []
+    doubts += [f"further than {watch.band:.6g} Pa and its half width from the estimate"]
+    return {
+        "law": law,
+        "watches_rate": watched,
+        "fade": fade,
+        "dwell": dwell,
+        "stuck": stuck or 0,
+        "transfer_error": table(fixed.from_error.T),
+        "transfer_current": table(fixed.from_output.T),
+        "states": [item.name for item in State],
+        "reasons": ["NO_DOUBT", *(item.name for item in Fault if item)],
+        "doubts": doubts,
+        "band_people": f"{watch.band:.6g}",
+        "dwell_people": f"{watch.dwell:g}",
+        "fade_people": f"{watch.fade:g}",
+        **{name: literal(value, arithmetic) for name, value in numbers.items()},
+    }
+
 
 Arithmetic = Literal["double", "float", "fixed32", "fixed16"]
 Precision = Literal["double", "float"]

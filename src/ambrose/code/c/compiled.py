@@ -1,6 +1,6 @@
 """The generated C code, compiled and running here: software in the loop.
 
-``CompiledBlock`` runs in the virtual rig in place of a controller (``law.program``),
+``CompiledBlock`` runs in the virtual rig in place of a controller (``law.law``),
 ``CompiledSchedule`` in place of a scheduled one, given speed or pressure at every sample.
 ``read_law`` reads the law back out of the running code, so that the same verification can be made
 of what the compiler made.
@@ -10,21 +10,155 @@ from __future__ import annotations
 
 import ctypes
 import math
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
 
-from ambrose.code.block.cost import padding_of
-from ambrose.code.block.fixed import ControlBlock
-from ambrose.code.block.run import REASON_AT
-from ambrose.code.block.scheduled import ScheduledBlock
-from ambrose.code.block.supervised import SupervisedBlock
+from ambrose.code.block.block import ControlBlock
+from ambrose.code.block.run import REASON_AT, padding_of
+from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock
 from ambrose.code.c.code import Arithmetic, Precision, generate, in_words
-from ambrose.code.c.compiler import COMPILERS, build_library, find_compiler, load_library
 from ambrose.core.checks import InvalidInput, check_shape, invalid
 from ambrose.core.statespace import StateSpace
 from ambrose.law.supervision import Fault
+
+# The C compiler of this computer.
+
+
+COMPILERS = ("cc", "gcc", "clang")
+_TIME_LIMIT, _PROBE_TIME = 120.0, 20.0  # s
+# how shared libraries begin
+_LIBRARIES = (b"\x7fELF", b"MZ", b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")
+
+
+def find_compiler(compiler: str | None = None) -> str | None:
+    """The compiler asked for, or the first of COMPILERS; None where it is not installed."""
+    return next(
+        (name for name in ((compiler,) if compiler else COMPILERS) if shutil.which(name)), None
+    )
+
+
+def has_compiler() -> bool:
+    """Whether code can be compiled and run here."""
+    return not compiler_problem()
+
+
+def compiler_problem() -> str:
+    """Why no code can be compiled and run here, found out with a function of one line; "" where it
+    can.
+    """
+    compiler = find_compiler()
+    if compiler is None:
+        return f"there is no C compiler {' or '.join(COMPILERS)} on this computer"
+    try:
+        load_library(build_probe(compiler, "install another one"))
+    except InvalidInput as error:
+        return str(error)
+    return ""
+
+
+def build_probe(compiler: str, remedy: str) -> bytes:
+    """The shared library of one line: quick, so that a compiler that hangs is found before it
+    counts. Raises InvalidInput.
+    """
+    return build_library(
+        compiler, {"probe.c": "int probe;\n"}, ["probe.c"], (), remedy, time_limit=_PROBE_TIME
+    )
+
+
+def load_library(code: bytes) -> ctypes.CDLL:
+    """A shared library of these bytes in this process. Raises InvalidInput."""
+    try:
+        with tempfile.TemporaryDirectory(prefix="ambrose-") as folder:
+            target = Path(folder) / "library.so"
+            target.write_bytes(code)
+            return ctypes.CDLL(str(target))
+    except OSError as error:
+        remedy = "set TMPDIR to a folder that has room and lets programs run"
+        raise InvalidInput(f"compiled code cannot be loaded here: {error}; {remedy}") from error
+
+
+def build_library(
+    compiler: str,
+    files: Mapping[str, str],
+    sources: Sequence[str],
+    flags: Sequence[str],
+    remedy: str,
+    libraries: str = "",
+    time_limit: float = _TIME_LIMIT,
+) -> bytes:
+    """The shared library of ``sources``, which are among ``files`` by name. Raises InvalidInput,
+    with the remedy.
+    """
+    command = [
+        compiler,
+        "-std=c99",
+        "-O2",
+        "-fPIC",
+        "-shared",
+        *flags,
+        *sources,
+        "-o",
+        "library",
+        *libraries.split(),
+    ]
+    try:
+        with tempfile.TemporaryDirectory(prefix="ambrose-") as folder:
+            for name, text in files.items():
+                (Path(folder) / name).write_text(text, encoding="utf-8")
+            status, message = _run(command, folder, time_limit)
+            made = Path(folder) / "library"
+            code = made.read_bytes() if made.is_file() else b""
+    except subprocess.TimeoutExpired as error:
+        raise InvalidInput(
+            f"the C compiler {compiler} did not end within {time_limit:g} s; {remedy}"
+        ) from error
+    except OSError as error:
+        reason = f"{error.strerror or error}{f' ({error.filename})' if error.filename else ''}"
+        raise InvalidInput(
+            f"the C compiler {compiler} cannot be run here: {reason}; {remedy}, or set TMPDIR"
+        ) from error
+    if status or not code.startswith(_LIBRARIES):
+        raise InvalidInput(
+            f"the C compiler {compiler} refused the code: {message or 'it made no library'}; "
+            f"{remedy}"
+        )
+    return code
+
+
+def _run(command: Sequence[str], folder: str, time_limit: float) -> tuple[int, str]:
+    """Exit status and message of a program; beyond the limit [s], and on Ctrl-C, all processes that
+    it started end with it.
+    """
+    silent = subprocess.DEVNULL
+    with subprocess.Popen(
+        command,
+        cwd=folder,
+        stdin=silent,
+        stdout=silent,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    ) as process:
+        try:
+            _, message = process.communicate(timeout=time_limit)
+        except BaseException:
+            with suppress(OSError):
+                os.killpg(
+                    process.pid, signal.SIGKILL
+                ) if sys.platform != "win32" else process.kill()
+            raise
+    return process.returncode, message.decode("utf-8", "replace").strip()[:500]
+
 
 _FLAGS = ("-Wall", "-Wextra", "-pedantic", "-Werror")
 _CALL = """#include <math.h>
@@ -395,3 +529,56 @@ def load_block(files: dict[str, str], sources: list[str], compiler: str | None) 
         )
     code = build_library(chosen, files, sources, _FLAGS, "give another compiler", libraries="-lm")
     return load_library(code)
+
+
+# The self-test of exported C code, compiled and run on this computer.
+
+
+_SECONDS = 30.0  # of compiler and test, each
+_WORDS = ("-std=c99", "-O2", "-o", "test")
+_SHOWN = 4000  # letters of what was printed
+
+
+@dataclass(frozen=True, slots=True)
+class SelfTest:
+    """Whether every sample agreed; text: what compiler or test printed."""
+
+    passed: bool
+    text: str
+
+
+def run_self_test(sources: Sequence[Path]) -> SelfTest:
+    """Compile C files, of which one has main, and run the program, in a folder of its own. Raises
+    InvalidInput without a compiler, and where it takes too long.
+    """
+    compiler = find_compiler()
+    if compiler is None:
+        raise InvalidInput(
+            f"there is no C compiler {' or '.join(COMPILERS)} on this computer; install one"
+        )
+    with tempfile.TemporaryDirectory(prefix="ambrose-") as folder:
+        files = [str(Path(path).resolve()) for path in sources]
+        built = _call([compiler, *_WORDS, *files, "-lm"], folder)
+        ran = _call([str(Path(folder, "test"))], folder) if built.returncode == 0 else built
+    passed = ran.returncode == 0
+    text = (ran.stdout + ran.stderr)[-_SHOWN:].strip()
+    return SelfTest(
+        passed, text or ("every sample agrees" if passed else "it fails without a word")
+    )
+
+
+def _call(words: list[str], folder: str) -> subprocess.CompletedProcess[str]:
+    try:
+        return subprocess.run(
+            words,
+            cwd=folder,
+            capture_output=True,
+            encoding="utf-8",
+            errors="replace",
+            timeout=_SECONDS,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise InvalidInput(
+            f"the self-test took longer than {_SECONDS:g} s and was ended; run it by hand"
+        ) from None

@@ -12,16 +12,50 @@ import ctypes
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from ambrose.code.block.names import as_comment
-from ambrose.code.c.code import LARGEST, check_precision, code_types
-from ambrose.code.c.compiler import COMPILERS, build_library, find_compiler, load_library
-from ambrose.code.c.identity import identity_facts, with_identity
-from ambrose.code.c.literals import literal, real_table
-from ambrose.code.rendering import render
+from ambrose.code.block.block import ControlBlock, as_comment, render
+from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock
+from ambrose.code.block.synchronous_twin import (
+    ONE,
+    PER_REST,
+    PLACE,
+    SIGNAL,
+    SIXTH,
+    BlockWords,
+    SynchronousTwin,
+    SynchronousWords,
+)
+from ambrose.code.c.code import (
+    LARGEST,
+    WORDS,
+    Arithmetic,
+    check_precision,
+    code_types,
+    generate,
+    identity_facts,
+    in_words,
+    integer_table,
+    literal,
+    real_table,
+    with_identity,
+)
+from ambrose.code.c.compiled import COMPILERS, build_library, find_compiler, load_library
+from ambrose.code.synchronous import (
+    EVERY,
+    SHARE,
+    Base,
+    RunUnit,
+    UnitRun,
+    contact_counts,
+    run_unit,
+    run_unit_words,
+    run_up_of,
+    words_of,
+)
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.law.synchronous_block import (
     DECAY,
@@ -33,7 +67,7 @@ from ambrose.law.synchronous_block import (
     SynchronousLaw,
     circle,
 )
-from ambrose.machine.atomic_write import write_files
+from ambrose.machine.ordinary_file import write_files
 
 _FLAGS = ("-Wall", "-Wextra", "-pedantic", "-Werror", "-ffp-contract=off")
 NEWTON = 12  # steps of the square root: enough for any amplitude up to 1e3 limits
@@ -260,4 +294,459 @@ class CompiledSynchronous:
         """a (blocks, n) complex [m]."""
         return np.array(
             [np.array(block.re) + 1j * np.array(block.im) for block in self._state.block]
+        )
+
+
+# Synchronous blocks as C99 in whole numbers, and the report of their formats.
+#
+# The twin is ``ambrose.code.block.synchronous_twin``: equal to the last bit. The text is in
+# templates/synchronous_fixed.c.j2; ``CompiledWords`` runs it in this process.
+
+
+FLAGS = ("-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror")
+_ANGLES = 10_000  # at which the table is measured
+_SETTINGS = 21
+
+
+def generate_words(
+    words: SynchronousWords, word: int, name: str = "sync", provenance: Sequence[str] = ()
+) -> dict[str, str]:
+    """The files of the blocks by name: <name>.h, .c and _report.md.
+
+    word: 32 or 16, of the signals in and out; name: of files and functions; provenance: lines for
+    the header.
+    """
+    law, n = words.law, words.law.channels
+    blocks = [_fixed_block(block) for block in words.blocks]
+    columns = sum(block.drive.shape[2] for block in law.blocks)
+    sizes = [block.re.size * 2 + 3 * len(block.speeds) + n + _SETTINGS for block in words.blocks]
+    facts: dict[str, Any] = {
+        "name": name,
+        "prefix": name.upper(),
+        "n": n,
+        "fixed": True,
+        "word": word,
+        "arithmetic": f"fixed point, {word} bits",
+        "type": f"int{word}_t",
+        "one": 1 << (word - 2),
+        "up": 1 << (SIGNAL + 2 - word),
+        "down": SIGNAL + 2 - word,
+        "largest_word": 2 ** (word - 1) - 1,
+        "sample_time": f"{law.sample_time:.9g}",
+        "provenance": [as_comment(line) for line in provenance] or ["provenance: not given"],
+        "blocks": blocks,
+        "sectors": SECTORS,
+        "circle": integer_table(words.table),
+        "time_bits": words.time_bits,
+        "slope_bits": words.slope_bits,
+        "fastest": words.fastest,
+        "per_rest": PER_REST,
+        "third": SIXTH,
+        "per_turn": any(block.per_turn for block in law.blocks),
+        "cost": {
+            # interpolated entries, their products, turning and moving, per block and channel
+            "multiplications": 20 + n * (4 * columns + 20 * len(blocks)),
+            "additions": 40 + n * (8 * columns + 30 * len(blocks)),
+            "table_bytes": 4 * (2 * SECTORS + sum(sizes)),
+        },
+    }
+    source = render("synchronous_fixed.c.j2", facts)
+    known = identity_facts(name, source, {"int32_t": "i4"})
+    return {
+        f"{name}.h": render("synchronous.h.j2", {**facts, **known}),
+        f"{name}.c": with_identity(source, known),
+        f"{name}_report.md": render("sync_report.md.j2", {**facts, **_report(words, word)}),
+    }
+
+
+def _fixed_block(block: BlockWords) -> dict[str, Any]:
+    """The tables of one block."""
+    law = block.law
+    count, n, m = block.re.shape
+    gaps = max(count - 1, 1)  # of one speed: never read
+    settings = [
+        *(block.low, block.high, block.hysteresis, block.gain, block.gain_bits, block.leak),
+        *(block.leak_bits, block.fade, block.fade_bits, block.ramp, block.drive_bits),
+        *(block.headroom, block.amplitude_bits, block.hold, block.release, block.most, count),
+        *(law.harmonic, law.subtracts, law.reads_currents, law.per_turn),
+    ]
+    return {
+        "count": count,
+        "m": m,
+        "gaps": gaps,
+        "settings": len(settings),
+        "amplitude": block.amplitude_bits,
+        "speeds": integer_table(block.speeds),
+        "reciprocals": integer_table(np.resize(block.reciprocals, gaps)),
+        "distances": integer_table(np.resize(block.reciprocal_bits, gaps)),
+        "re": integer_table(block.re.reshape(count, n * m)),
+        "im": integer_table(block.im.reshape(count, n * m)),
+        "limit": integer_table(block.limit),
+        "set": integer_table(np.array(settings, np.int64)),
+    }
+
+
+def table_found(words: SynchronousWords) -> float:
+    """The largest error of cosine and sine over many angles."""
+    twin, worst = SynchronousTwin(words), 0.0
+    for theta in np.linspace(0, 2**32 - 1, _ANGLES).astype(np.int64).tolist():
+        twin.angle.theta = theta
+        cosine, sine = twin.turn(1)
+        angle = 2 * math.pi * theta / 2**32
+        worst = max(worst, abs(cosine / ONE - math.cos(angle)), abs(sine / ONE - math.sin(angle)))
+    return worst
+
+
+def _report(words: SynchronousWords, word: int) -> dict[str, Any]:
+    dt = words.law.sample_time
+    angle = words.angle_error
+    return {
+        "speed_lsb": f"{2 * math.pi / dt * 2.0**-PLACE:.2g}",
+        "table_error": f"{words.table_error:.2g}",
+        "table_found": f"{table_found(words):.2g}",
+        "angle_error": f"{angle:.2g}",
+        "c_error": f"{2.0 ** (1 - word):.2g}",
+        "blocks": [
+            {
+                "drive_bits": block.drive_bits,
+                "x_bits": SIGNAL - block.headroom,
+                "amplitude": block.amplitude_bits,
+                "relative": f"{block.relative:.2g}",
+                "phase": f"{math.degrees(math.asin(min(block.relative, 1.0))):.2g}",
+                "reading": f"{words.reading_error(block):.2g}",
+                "gain": f"{block.gain * 2.0**-block.gain_bits / dt:.9g}",
+                "leak": f"{block.leak * 2.0**-block.leak_bits / dt:.9g}",
+                "fade": f"{dt / (block.fade * 2.0**-block.fade_bits):.9g}",
+                "ramp": f"{dt * ONE / block.ramp:.9g}",
+            }
+            for block in words.blocks
+        ],
+    }
+
+
+class CompiledWords:
+    """The C code of the blocks in words of 32 bits in this process, with the methods of
+    ``SynchronousTwin``.
+    """
+
+    def __init__(self, words: SynchronousWords, flags: Sequence[str] = FLAGS) -> None:
+        """Compiles the code. Raises InvalidInput where there is no C compiler, or it fails."""
+        chosen = find_compiler(None)
+        if chosen is None:
+            raise InvalidInput("there is no C compiler on this computer; install one")
+        self.words, n = words, words.law.channels
+        files = generate_words(words, 32)
+        self._library = load_library(
+            build_library(chosen, files, ["sync.c"], tuple(flags), "give another compiler")
+        )
+        self._library.sync_step.restype = ctypes.c_uint
+        each_turn = any(block.per_turn for block in words.law.blocks)
+
+        class Running(ctypes.Structure):
+            _fields_ = (
+                ("state", ctypes.c_int),
+                ("fault", ctypes.c_uint),
+                ("clock", ctypes.c_int32),
+                ("ramp", ctypes.c_int32),
+                ("re", ctypes.c_int64 * n),
+                ("im", ctypes.c_int64 * n),
+                *(
+                    (
+                        ("sum_re", ctypes.c_int64 * (2 * n)),
+                        ("sum_im", ctypes.c_int64 * (2 * n)),
+                        ("count", ctypes.c_int32),
+                    )
+                    if each_turn
+                    else ()
+                ),
+            )
+
+        class State(ctypes.Structure):
+            _fields_ = (
+                ("pulses", ctypes.c_int),
+                ("turned", ctypes.c_int),
+                *((key, ctypes.c_int64) for key in ("tau", "period", "middle", "speed", "slope")),
+                ("now", ctypes.c_int32),
+                ("theta", ctypes.c_uint32),
+                ("block", Running * len(words.blocks)),
+            )
+
+        self._state = State()
+        self._words = ctypes.c_int32 * n
+        self.begin()
+
+    def begin(self) -> None:
+        """At rest: no pulse yet, all off."""
+        self._library.sync_begin(ctypes.byref(self._state))
+
+    def step(
+        self,
+        pulse: int,
+        errors: Sequence[int],
+        currents: Sequence[int],
+        contact: bool = False,
+        saturated: bool = False,
+        enabled: bool = True,
+        unusable: bool = False,
+    ) -> list[int]:
+        """As ``SynchronousTwin.step``."""
+        c = self._words()
+        flags = 4 * contact | 8 * saturated | 64 * (not enabled) | 128 * unusable
+        self._library.sync_step(
+            ctypes.byref(self._state),
+            ctypes.c_int32(pulse),
+            self._words(*errors),
+            self._words(*currents),
+            ctypes.c_uint(flags),
+            c,
+        )
+        return list(c)
+
+    @property
+    def states(self) -> tuple[BlockState, ...]:
+        """The state of every block."""
+        return tuple(BlockState(block.state) for block in self._state.block)
+
+    @property
+    def faults(self) -> tuple[int, ...]:
+        """The faults of every block."""
+        return tuple(block.fault for block in self._state.block)
+
+    @property
+    def stored(self) -> list[list[int]]:
+        """The stored amplitudes of every block, real parts then imaginary ones."""
+        return [[*block.re, *block.im] for block in self._state.block]
+
+
+# A controller with synchronous blocks beside it as C99: the controller's files, the blocks' files,
+# and one unit that runs both, with its own self-test.
+#
+# The twin is ``ambrose.code.synchronous``; the texts are templates/run.h.j2, run.c.j2 and
+# run_test.c.j2. ``CompiledRun`` runs the unit in this process.
+
+
+_FLOAT = 2e-2  # of the largest current: how far single precision may be
+
+
+def generate_run(
+    unit: RunUnit, arithmetic: Arithmetic = "double", provenance: Sequence[str] = ()
+) -> dict[str, str]:
+    """The files of a unit by name: the controller's (``code.c.code.generate``), <name>_sync.h and
+    .c, <name>_run.h, .c and _run_test.c, of fixed point also <name>_sync_report.md. Raises
+    InvalidInput, also for fixed point beside a schedule.
+    """
+    base, sync = unit.base, f"{unit.base.name}_sync"
+    files = generate(base, arithmetic, provenance)
+    if word := WORDS.get(arithmetic, 0):
+        files |= generate_words(words_of(unit), word, sync, provenance)
+    else:
+        files |= generate_synchronous(unit.law, sync, arithmetic, provenance)
+    if arithmetic == "float":
+        unit = RunUnit(base.single(), unit.law, unit.contact)
+    facts = _facts(unit, arithmetic, provenance) | _self_test(unit, arithmetic)
+    for end in ("_run.h", "_run.c", "_run_test.c"):
+        files[f"{base.name}{end}"] = render(f"{end[1:]}.j2", facts)
+    return files
+
+
+def _facts(unit: RunUnit, arithmetic: str, provenance: Sequence[str]) -> dict[str, Any]:
+    base, word = unit.base, WORDS.get(arithmetic, 0)
+    table = integer_table if word else real_table(arithmetic)
+    supervised = isinstance(base, SupervisedBlock)
+    told = [one.name for one in base.along.each] if isinstance(base, ScheduledBlock) else []
+    told += ["estimate", "half_width"] if supervised else []
+    touches = bool(np.isfinite(unit.contact).all())
+    contact = contact_counts(unit, 1 << (word - 2)) if word else unit.contact
+    floating = {"double": "double precision", "float": "single precision"}
+    return {
+        "name": base.name,
+        "prefix": base.name.upper(),
+        "sync": f"{base.name.upper()}_SYNC",
+        "n": len(base.inputs),
+        "fixed": bool(word),
+        "type": f"int{word}_t" if word else arithmetic,
+        "arithmetic": floating.get(arithmetic, f"fixed point, {word} bits"),
+        "sample_time": f"{base.sample_time:.9g}",
+        "provenance": [as_comment(line) for line in provenance] or ["provenance: not given"],
+        "supervised": supervised,
+        "transfers": base.transfers,
+        "touches": touches,
+        "contact": table(contact) if touches else "",
+        "error_limit": "" if word else table(base.error_limit),
+        "zero": "0" if word else literal(0.0, arithmetic),
+        "told_parameters": "".join(f"{arithmetic} {name}, " for name in told),
+        "told_arguments": "".join(f"{name}, " for name in told),
+    }
+
+
+def _middle(base: Base) -> list[float]:
+    """What a scheduled block is told in the self-test: the middle of its ranges."""
+    if not isinstance(base, ScheduledBlock):
+        return []
+    return [float(axis[0] + axis[-1]) / 2 for axis in base.axes]
+
+
+def _self_test(unit: RunUnit, arithmetic: str) -> dict[str, Any]:
+    """Signals of whole numbers, as run_test.c.j2 makes them, and what the twin answers."""
+    base, run_up = unit.base, run_up_of(unit)
+    dt, n = base.sample_time, len(base.inputs)
+    count, within = run_up.count, run_up.within()
+
+    # the angle in 2^32 to a turn, and what it moves in a sample
+    per_speed = dt / (2 * np.pi) * 2**32
+    step, change = round(run_up.start * per_speed), round(run_up.slope * dt * per_speed)
+    steps = step + change * np.arange(count)
+    turn = np.concatenate([[0], np.cumsum(steps)[:-1]]) % 2**32
+    pulses = np.where((turn < steps) & ~within["lost"], dt * (turn / steps), -1.0)
+
+    # a triangle of each channel, |2^32 - at| - 2^30, at = turn + 1000000007 i
+    at = (turn[:, None] + np.arange(n) * 1000000007) % 2**32
+    wave = np.where(at < 2**31, at, 2**32 - at) - 2**30
+    valid = np.ones((count, n), bool)
+    valid[within["invalid"], 0] = False
+    shown = slice(EVERY - 1, None, EVERY)
+    facts: dict[str, Any] = {
+        "rows": run_up.rows,
+        "every": EVERY,
+        "first": step,
+        "change": change,
+        "windows": {name: f"{a}, {b}" for name, (a, b) in run_up.windows.items()},
+    }
+    if word := WORDS.get(arithmetic, 0):
+        # the same in counts: eight tenths or a tenth of the limit, and a word beyond it
+        one = 1 << (word - 2)
+        came = (turn < steps) & ~within["lost"]
+        ages = np.where(came, turn * one // steps, -1)
+        large = np.where(within["large"][:, None], 8 * wave, wave)
+        counts = np.sign(large) * (np.abs(large) // (10 * (2**30 // one)))
+        counts[within["none"], -1] = one // 2 * 3
+        fixed = in_words(cast(ControlBlock, base), word)
+        run = run_unit_words(unit, fixed, ages, counts, valid, within["contact"], ~within["off"])
+        return facts | {
+            "told_test": "",
+            "currents": integer_table(run.currents[shown]),
+            "faults": _whole(run.faults[shown]),
+            "status": _whole(run.status[shown]),
+            "tolerance": integer_table(np.zeros(n)),
+        }
+    scale = SHARE * base.error_limit / 2**30
+    errors = wave * np.where(within["large"][:, None], 8.0 * scale, scale)
+    errors[within["none"], -1] = np.nan
+
+    middle = _middle(base)
+    told = np.full((count, len(middle)), middle) if middle else None
+    texts = [literal(value, arithmetic) for value in middle]
+    if isinstance(base, SupervisedBlock):
+        told = np.column_stack([np.full(count, middle[0]), np.full((count, 2), np.nan)])
+        texts += ["none", "none"]
+    elif told is not None and told.shape[1] == 1:
+        told = told[:, 0]
+    run = run_unit(unit, pulses, errors, told, valid, within["contact"], ~within["off"])
+    table, largest = real_table(arithmetic), np.abs(run.currents).max(axis=0)
+    share = {"double": 1e-9, "float": _FLOAT}[arithmetic]
+    return facts | {
+        "sample_time_double": literal(dt, "double"),
+        "told_test": "".join(f"{text}, " for text in texts),
+        "scale": real_table("double")(scale),
+        "currents": table(run.currents[shown]),
+        "faults": _whole(run.faults[shown]),
+        "status": _whole(run.status[shown]),
+        "tolerance": table(np.maximum(share * largest, 1e-12)),
+    }
+
+
+def _whole(values: np.ndarray) -> str:
+    lines = [", ".join(map(str, values[i : i + 24].tolist())) for i in range(0, len(values), 24)]
+    return "{" + ",\n    ".join(lines) + "}"
+
+
+_RECORD = """#include <stddef.h>
+#include "{name}_run.h"
+void record(long count, const double *pulses, const double *errors,
+    const unsigned char *valid, const double *told, const unsigned *flags, double *currents,
+    double *c, double *amplitudes, unsigned *marks);
+void record(long count, const double *pulses, const double *errors,
+    const unsigned char *valid, const double *told, const unsigned *flags, double *currents,
+    double *c, double *amplitudes, unsigned *marks)
+{{
+    static {name}_run run;
+    long k;
+    int i, b;
+    {name}_run_init(&run);
+    for (k = 0; k < count; k++) {{
+        {name}_real error[{n}], current[{n}];
+        (void)told;
+        for (i = 0; i < {n}; i++) error[i] = ({name}_real)errors[k * {n} + i];
+        marks[2 * k] = {name}_run_step(&run, ({name}_real)pulses[k], error, valid + k * {n},
+            {told}flags[k], current);
+        marks[2 * k + 1] = run.faults;
+        for (i = 0; i < {n}; i++) currents[k * {n} + i] = current[i], c[k * {n} + i] = run.c[i];
+        for (b = 0; b < {blocks}; b++)
+            for (i = 0; i < {n}; i++) {{
+                amplitudes[(k * {blocks} + b) * {n2} + 2 * i] = (double)run.sync.block[b].re[i];
+                amplitudes[(k * {blocks} + b) * {n2} + 2 * i + 1] = (double)run.sync.block[b].im[i];
+            }}
+    }}
+}}
+"""
+
+
+class CompiledRun:
+    """The unit's C code in this process."""
+
+    def __init__(
+        self, unit: RunUnit, arithmetic: Arithmetic = "double", compiler: str | None = None
+    ) -> None:
+        """Compiles the code; in fixed point pulses, errors, currents, c are counts, amplitudes
+        stored numbers. Raises InvalidInput where there is no C compiler, or it fails.
+        """
+        chosen = find_compiler(compiler)
+        if chosen is None:
+            raise InvalidInput(
+                f"there is no C compiler {compiler or ' or '.join(COMPILERS)} on this computer; "
+                "install one to run the C code here"
+            )
+        self.unit = unit
+        name, n = unit.base.name, len(unit.base.inputs)
+        facts = _facts(unit, arithmetic, ())
+        columns = facts["told_parameters"].count(",")
+        told = "".join(f"({name}_real)told[{columns} * k + {i}], " for i in range(columns))
+        text = _RECORD.format(name=name, n=n, n2=2 * n, blocks=len(unit.law.blocks), told=told)
+        files = {**generate_run(unit, arithmetic), "record.c": text}
+        sources = [f"{name}.c", f"{name}_sync.c", f"{name}_run.c", "record.c"]
+        self._columns = columns
+        self._library = load_library(
+            build_library(chosen, files, sources, _FLAGS, "give another compiler", libraries="-lm")
+        )
+
+    def run(
+        self,
+        pulses: ArrayLike,
+        errors: ArrayLike,
+        told: ArrayLike | None = None,
+        valid: ArrayLike | None = None,
+        contact: ArrayLike | None = None,
+        enabled: ArrayLike | None = None,
+    ) -> UnitRun:
+        """As ``code.synchronous.run_unit``; its states are left empty."""
+        e = np.ascontiguousarray(errors, float)
+        (count, n), blocks = e.shape, len(self.unit.law.blocks)
+        good = np.ones((count, n), np.uint8) if valid is None else np.array(valid, np.uint8)
+        marks = np.zeros(count, bool) if contact is None else np.asarray(contact, bool)
+        on = np.ones(count, bool) if enabled is None else np.asarray(enabled, bool)
+        flags = (4 * marks + 64 * ~on).astype(np.uint32)
+        given = np.ascontiguousarray(
+            np.zeros((count, 1)) if told is None else np.asarray(told, float).reshape(count, -1)
+        )
+        times = np.ascontiguousarray(pulses, float)
+        currents, c = np.zeros((count, n)), np.zeros((count, n))
+        amplitudes = np.zeros((count, blocks, n), complex)
+        bits = np.zeros((count, 2), np.uint32)
+        arrays = (times, e, good, given, flags, currents, c, amplitudes, bits)
+        self._library.record(
+            ctypes.c_long(count), *(ctypes.c_void_p(array.ctypes.data) for array in arrays)
+        )
+        empty = np.zeros((count, 0), int)
+        return UnitRun(
+            currents, bits[:, 0].astype(int), bits[:, 1].astype(int), empty, c, amplitudes
         )

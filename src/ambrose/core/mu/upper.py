@@ -23,8 +23,7 @@ from scipy.linalg.lapack import zpotrf
 from ambrose.core.checks import memberwise
 from ambrose.core.frequency import largest_gain
 from ambrose.core.lft import FullBlock, RealBlock
-from ambrose.core.mu.scaling_parameters import Basis, scaling_basis
-from ambrose.core.mu.structure import Structure, osborne
+from ambrose.core.mu.structure import Basis, Structure, osborne, scaling_basis
 
 # fractions of the way to the dual bound that the predictor tries
 _SHRINK = (1.0, 0.98, 0.9, 0.7, 0.45, 0.2, 0.07, 0.02)

@@ -18,9 +18,8 @@ from ambrose.core.checks import InvalidInput, check_path, invalid
 from ambrose.machine.ordinary_file import check_source
 from ambrose.machine.units import DIMENSIONS, in_si
 from ambrose.record.files import read_record
-from ambrose.record.record import Record, check_rate, check_samples
+from ambrose.record.record import Record, check_rate, check_samples, uniform_rate
 from ambrose.record.text_uff import text_table
-from ambrose.record.timing import uniform_rate
 
 LEAST = 500  # samples
 _LEAST_SPAN = 1e-18  # of a signal, in its SI unit: no sensor resolves a part of it; assumed

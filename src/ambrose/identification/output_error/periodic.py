@@ -20,8 +20,7 @@ import scipy.linalg as sla
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.response import SystemDerivative
 from ambrose.core.statespace import StateSpace
-from ambrose.identification.output_error.levenberg_marquardt import Linearised
-from ambrose.identification.output_error.normal_equations import Task
+from ambrose.identification.output_error.normal_equations import Linearised, Task
 from ambrose.identification.output_error.statistics import ResidualTest
 
 _EXCITED = 1e-6  # of the strongest line: what is weaker counts as not excited

@@ -12,9 +12,13 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, check_finite, invalid, same_clock
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import StateSpace, poles
-from ambrose.identification.excitation import excitation_order, signal_rows
-from ambrose.identification.output_error.delays import TimedLoop, timed
-from ambrose.identification.output_error.loop_model import ParametricModel, loop_model
+from ambrose.identification.findings import excitation_order, signal_rows
+from ambrose.identification.output_error.loop_model import (
+    ParametricModel,
+    TimedLoop,
+    loop_model,
+    timed,
+)
 from ambrose.identification.output_error.normal_equations import Task, distinct
 from ambrose.identification.output_error.synchronous import synchronous_of
 from ambrose.identification.parameters import nominal_values, ratios, reduced_plant, split_timing

@@ -1,1 +1,1 @@
-
+"""What is wrong with a result: ``plausibility`` calls the others."""

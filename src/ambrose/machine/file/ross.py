@@ -17,12 +17,11 @@ from itertools import groupby
 from typing import Any
 
 from ambrose.core.checks import InvalidInput, invalid
+from ambrose.machine.attachment import mesh, node_positions, stations
 from ambrose.machine.file.toml import parse_toml, written, written_key
-from ambrose.machine.json_text import parse_json
-from ambrose.machine.limits import TOML_BYTES
 from ambrose.machine.machine import Machine
-from ambrose.machine.mesh import mesh, node_positions, stations
-from ambrose.machine.rotor_model import Disc, Material, RotorModel, ShaftSection
+from ambrose.machine.ordinary_file import TOML_BYTES, parse_json
+from ambrose.machine.part import Disc, Material, RotorModel, ShaftSection
 
 _SOFT = 1e-3  # of the stiffest material at a node: a layer below carries mass only
 _GRADED = 1e-9  # relative difference of two diameters or lengths that is rounding

@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import lru_cache
+from typing import Any, get_args
 
 from ambrose.machine.attachment import attached
 from ambrose.machine.description import (
@@ -14,14 +16,191 @@ from ambrose.machine.description import (
     MachineDescription,
     MagneticBearing,
 )
-from ambrose.machine.limits import ELEMENTS
-from ambrose.machine.messages import complaint, number, shown, suggestion
+from ambrose.machine.kinds import PairOf
+from ambrose.machine.ordinary_file import ELEMENTS
 from ambrose.machine.parameters import bending_modes_of_mesh
-from ambrose.machine.rotor_model import ShaftSection
-from ambrose.machine.stator import SENSORS_ON, CasingMode, Support
-from ambrose.machine.validation.magnet import magnet_findings
-from ambrose.machine.validation.signs import not_positive
-from ambrose.machine.validation.touchdown import touchdown_findings
+from ambrose.machine.part import (
+    POLES,
+    SENSORS_ON,
+    CasingMode,
+    Magnet,
+    Part,
+    ShaftSection,
+    Support,
+    Touchdown,
+    hints_of,
+)
+from ambrose.machine.units import DIMENSIONS, complaint, number, shown, suggestion
+
+# Numbers of a part that must be positive: complaints with the unit that the part's field states.
+
+
+def not_positive(
+    where: str, part: Part, remedy: str, *keys: str, zero: bool = False
+) -> Iterator[str]:
+    """Complaints about the numbers under these keys that are not above zero (or not at it); None
+    passes, and a pair of equal numbers is named once.
+    """
+    requirement = "zero or positive" if zero else "positive"
+    for key in keys:
+        unit, names = unit_and_names(type(part), key)  # type: ignore[arg-type]  # a class is hashable
+        value = getattr(part, key)
+        several = isinstance(value, (tuple, list))
+        values = value if several else (value,)
+        if names and several and len(set(values)) == 1:  # one number for both
+            values, several = values[:1], False
+        for i, entry in enumerate(values):
+            if entry is not None and (entry < 0 or (entry == 0 and not zero)):
+                name = f" ({names[i] if names else f'element {i + 1}'})" if several else ""
+                yield complaint(where, f"{key}{name}", number(entry, unit), requirement, remedy)
+
+
+@lru_cache(maxsize=256)
+def unit_and_names(part: type, key: str) -> tuple[str, list[str]]:
+    """The unit of a field ("" for a ratio or a count), and the names of a pair's two values."""
+    kind = next(dimensional(hints_of(part)[key]), None)
+    unit = "" if kind is None else DIMENSIONS[kind.dimension].unit
+    return "" if unit == "-" else unit, kind.names.split(", ") if isinstance(kind, PairOf) else []
+
+
+def dimensional(hint: Any) -> Iterator[Any]:
+    """The kinds with a dimension that an annotation holds, at any depth."""
+    yield from (kind for kind in getattr(hint, "__metadata__", ()) if hasattr(kind, "dimension"))
+    for inner in get_args(hint):
+        yield from dimensional(inner)
+
+
+# What may be wrong with a [bearing.magnet].
+
+
+def magnet_findings(where: str, magnet: Magnet) -> Iterator[str]:
+    """What is wrong with a [bearing.magnet], a line each; ``where`` stands first in each."""
+    yield from not_positive(
+        where,
+        magnet,
+        "give its size",
+        "turns",
+        "pole_area",
+        "gap",
+        "iron_path",
+        "iron_permeability",
+        "iron_flux_density",
+        "journal_radius",
+        "back_iron_area",
+        "bias_turns",
+        "remanence",
+        "magnet_permeability",
+        "magnet_length",
+        "magnet_area",
+    )
+    yield from not_positive(where, magnet, "0.1 is much", "leakage", zero=True)
+    allowed = POLES[magnet.kind]
+    if magnet.pole_count not in allowed:
+        yield complaint(
+            where,
+            "poles",
+            f"{magnet.pole_count}",
+            f"one of {', '.join(map(str, allowed))} for a {magnet.kind} magnet",
+            "count the poles of one plane",
+        )
+    if magnet.back_iron_area is not None and None in (magnet.journal_radius, magnet.iron_path):
+        yield (
+            f"{where}: back_iron_area needs journal_radius and iron_path; give the three, or "
+            "leave the back iron out"
+        )
+    pm = ("remanence", "magnet_length", "magnet_area")
+    if magnet.kind != "homopolar":
+        for key in ("bias_turns", *pm):
+            if getattr(magnet, key) is not None:
+                yield f'{where}: {key} belongs to kind = "homopolar"; leave it out'
+        if magnet.bias != "coil":
+            yield f'{where}: bias = "permanent-magnet" belongs to kind = "homopolar"; leave it out'
+    elif magnet.bias == "coil":
+        if magnet.bias_turns is None:
+            yield f"{where}: bias_turns is missing; give the turns of the bias coil"
+        for key in pm:
+            if getattr(magnet, key) is not None:
+                yield f'{where}: {key} belongs to bias = "permanent-magnet"; leave it out'
+    else:
+        for key in pm:
+            if getattr(magnet, key) is None:
+                yield f"{where}: {key} is missing; give the permanent magnet's"
+        if magnet.bias_turns is not None:
+            yield f'{where}: bias_turns belongs to bias = "coil"; leave it out'
+
+
+# What a touchdown bearing must fulfil: contact, rings, mount and limits; and the coast-down.
+
+
+def touchdown_findings(where: str, bearing: MagneticBearing) -> Iterator[str]:
+    """Complaints about a bearing's [bearing.touchdown], if it has one."""
+    contact = bearing.touchdown
+    if contact is None:
+        return
+    inside = f"{where}, [bearing.touchdown]"
+    yield from not_positive(
+        inside,
+        contact,
+        "leave it out for its default",
+        *("stiffness", "radius", "sliding_speed", "stribeck_speed"),
+    )
+    taken = ("damping", "friction", "static_friction")
+    remedy = "contact takes energy and gives none"
+    yield from not_positive(inside, contact, remedy, *taken, zero=True)
+    static = contact.static_friction
+    if static is not None and 0 <= static < contact.friction:
+        yield complaint(
+            inside,
+            "static_friction",
+            f"{static:g}",
+            f"at least friction, {contact.friction:g}",
+            "friction falls with the sliding speed; swap the two or leave static_friction out",
+        )
+    if bearing.touchdown_gap is None:
+        yield f"{where}: touchdown_gap is missing; [bearing.touchdown] needs the clearance"
+    yield from _rings(where, contact)
+
+
+def _rings(where: str, contact: Touchdown) -> Iterator[str]:
+    if contact.race is not None:
+        inside = f"{where}, [bearing.touchdown.race]"
+        sizes = ("mass", "inertia", "element_stiffness", "element_load")
+        rest = ("pitch_diameter", "static_capacity", "specific_heat", "temperature")
+        yield from not_positive(inside, contact.race, "give its size", *sizes, *rest)
+        losses = ("preload", "element_damping", "friction_moment", "load_friction")
+        yield from not_positive(
+            inside, contact.race, "leave it out for its default", *losses, zero=True
+        )
+    if contact.mount is not None:
+        inside = f"{where}, [bearing.touchdown.mount]"
+        remedy = "leave the table out for a rigid mount"
+        yield from not_positive(
+            inside, contact.mount, remedy, "mass", "stiffness", "travel", "stop_stiffness"
+        )
+        yield from not_positive(inside, contact.mount, remedy, "damping", zero=True)
+    limits = contact.limits
+    if limits is None:
+        return
+    inside = f"{where}, [bearing.touchdown.limits]"
+    keys = ("landings", "max_force", "temperature", "energy", "static_factor")
+    yield from not_positive(inside, limits, "leave it out where it is not judged", *keys)
+    capacity = None if contact.race is None else contact.race.static_capacity
+    if limits.static_factor is not None and capacity is None:
+        yield (
+            f"{inside}: static_factor needs the load rating; give static_capacity in "
+            "[bearing.touchdown.race], or leave static_factor out"
+        )
+
+
+def coast_down(machine: MachineDescription) -> Iterator[str]:
+    """Complaints about [coast_down]."""
+    if machine.coast_down is None:
+        return
+    remedy = "give its size; it slows the rotor"
+    torques = ("brake_torque", "friction_torque", "windage_torque")
+    yield from not_positive("[coast_down]", machine.coast_down, remedy, *torques, zero=True)
+    yield from not_positive("[coast_down]", machine.coast_down, remedy, "windage_speed")
+
 
 # gap between shaft sections that counts as rounding, as a fraction of the rotor's length
 JOINT = 1e-9

@@ -21,13 +21,10 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine.attachment import by_table
 from ambrose.machine.description import MachineDescription, Tolerance
 from ambrose.machine.kinds import Count
-from ambrose.machine.messages import called, number
 from ambrose.machine.parameters import parse_parameter
-from ambrose.machine.part import Part, hints_of
-from ambrose.machine.rotor_model import Material
-from ambrose.machine.seals import SealTable
-from ambrose.machine.units import DIMENSIONS, Dimension, read_quantity
-from ambrose.machine.validation.signs import dimensional
+from ambrose.machine.part import Material, Part, SealTable, hints_of
+from ambrose.machine.units import DIMENSIONS, Dimension, called, number, read_quantity
+from ambrose.machine.validation.parts import dimensional
 
 _MOST = 1e60  # in SI: what is larger overflows in its powers
 _LEAST = 1e-30  # in SI: what is nearer to zero is no figure, and a division by its square overflows

@@ -7,12 +7,12 @@ else.
 
 ROOM = {
     "effect": {
-        "coupling": "coupling:COUPLING",
-        "journal_bearing": "journal_bearing:JOURNAL_BEARING",
-        "stage": "stage:STAGE",
-        "clearance": "clearance:CLEARANCE",
-        "probe": "probe:PROBE",
-        "load": "load:LOAD",
-        "thrust_bearing": "thrust_bearing:THRUST_BEARING",
+        "coupling": "stations:COUPLING",
+        "journal_bearing": "stations:JOURNAL_BEARING",
+        "stage": "stations:STAGE",
+        "clearance": "stations:CLEARANCE",
+        "probe": "stations:PROBE",
+        "load": "stations:LOAD",
+        "thrust_bearing": "stations:THRUST_BEARING",
     },
 }

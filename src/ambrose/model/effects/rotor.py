@@ -2,9 +2,9 @@
 
 Coordinates per node: [x, y, alpha, beta], alpha and beta the rotations about x and y, so that x' =
 beta and y' = -alpha where there is no shear. M q'' + Omega G q' + K q = f, spin positive from x to
-y, G skew. Every part of a machine stands on a node (``machine.mesh``); anywhere else the elements'
-shape functions interpolate. The planes decouple at standstill; ``plane_*`` matrices act on [w,
-theta] per node.
+y, G skew. Every part of a machine stands on a node (``machine.attachment``); anywhere else the
+elements' shape functions interpolate. The planes decouple at standstill; ``plane_*`` matrices act
+on [w, theta] per node.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike
 from ambrose.core.checks import check_finite, invalid, named_failure
 from ambrose.core.mechanical import undamped_modes
 from ambrose.core.presentation import Presented
+from ambrose.machine.attachment import Piece, finer, mesh, node_positions, stations
 from ambrose.machine.description import MachineDescription
-from ambrose.machine.limits import FINE_MESH_MODES
-from ambrose.machine.mesh import Piece, finer, mesh, node_positions, stations
-from ambrose.machine.rotor_model import Disc, ShaftSection
+from ambrose.machine.ordinary_file import FINE_MESH_MODES
+from ambrose.machine.part import Disc, ShaftSection
 from ambrose.model.effects.beam import BeamElement, beam_element, conical_element, shape
 
 STANDARD_GRAVITY = 9.80665  # [m/s2]

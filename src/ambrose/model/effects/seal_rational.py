@@ -20,9 +20,8 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.rational_fit import RationalFit, fit_on_poles, fit_rational
 from ambrose.core.statespace import StateSpace
-from ambrose.machine.seals import Seal
-from ambrose.model.effects.gas_seal import gas_flow
-from ambrose.model.effects.seal import SealCoefficients, coefficients
+from ambrose.machine.part import Seal
+from ambrose.model.effects.seal import SealCoefficients, coefficients, gas_flow
 
 # [rad/s] of the fit of a seal from geometry, up to its max_frequency
 _LOWEST, _POINTS = 2 * np.pi * 2.0, 40

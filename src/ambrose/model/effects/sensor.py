@@ -14,7 +14,7 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_finite, check_positive
 from ambrose.core.statespace import StateSpace
-from ambrose.machine.stator import Sensor
+from ambrose.machine.part import Sensor
 
 
 def linearised(sensors: Sequence[Sensor], axes: Sequence[str]) -> StateSpace:

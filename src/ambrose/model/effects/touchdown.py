@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from ambrose.machine.description import MagneticBearing
 from ambrose.machine.machine import Machine
-from ambrose.machine.touchdown import Touchdown
+from ambrose.machine.part import Touchdown
 
 _ROUNDING = 1e-3  # d_0 over the clearance
 _REST = 1.0  # [rad/s] below which the race's drag fades

@@ -1,1 +1,1 @@
-
+"""Pictures by what they show: curves, Bode plots, motion, seals, the rotor."""

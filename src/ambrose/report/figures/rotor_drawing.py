@@ -19,9 +19,10 @@ from numpy.typing import ArrayLike
 from ambrose.core.checks import check_shape
 from ambrose.machine.attachment import attached
 from ambrose.machine.machine import Machine
-from ambrose.machine.rotor_model import Disc
+from ambrose.machine.part import Disc
 from ambrose.model.effects.rotor import finite_element_rotor, free_modes
-from ambrose.report import theme, units
+from ambrose.report import theme
+from ambrose.report import theme as units
 
 _PIXELS = 800  # width of the plot area that the height is computed for [px]
 _LEAST = (

@@ -11,11 +11,11 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import FrequencyResponse
-from ambrose.identification.frf.spectral import Frf
+from ambrose.identification.frf_spectral import Frf
 from ambrose.identification.parameters import COVERAGE
-from ambrose.identification.seal.regression import Line
-from ambrose.identification.seal.result import COEFFICIENTS, SealFit
-from ambrose.report import theme, units
+from ambrose.identification.seal.by_pressure import COEFFICIENTS, Line, SealFit
+from ambrose.report import theme
+from ambrose.report import theme as units
 from ambrose.report.figures.bode import phase
 
 _NAMES = {

@@ -1,1 +1,3 @@
-
+"""The compiled virtual rig: ``state`` as arrays, ``kernel`` as what runs, ``inputs`` what a
+scenario does.
+"""

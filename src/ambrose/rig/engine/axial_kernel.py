@@ -20,17 +20,17 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from ambrose.rig.engine.cache import compile_kept
-from ambrose.rig.engine.inlined import (
+from ambrose.rig.engine.controller import command, control, run_program
+from ambrose.rig.engine.products import (
     OPTIONS,
     amplifier_derivative,
     coil_current,
+    compile_kept,
     compiled,
     converted,
     effective_current,
     indicated,
 )
-from ambrose.rig.engine.sampled import command, control, run_program
 
 if TYPE_CHECKING:
     from ambrose.rig.engine.controller import SampledLaw

@@ -14,13 +14,83 @@ from ambrose.core.aliasing import continuous_poles
 from ambrose.core.checks import check_positive, invalid, same_clock
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import StateSpace
-from ambrose.law.law import LawLike, law_of
-from ambrose.law.loop import axis_order, match_axes
-from ambrose.law.program import ControlProgram, entry_of, teller
-from ambrose.law.scheduling import SPEED
-from ambrose.law.timing import DEFAULT, machine_timing
+from ambrose.law.law import SPEED, ControlProgram, LawLike, entry_of, law_of, teller
+from ambrose.law.loop import DEFAULT, axis_order, machine_timing, match_axes
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
+from ambrose.rig.engine.products import by_address, compiled
+
+# What happens once a control sample, compiled: the controller or a program in its place, and what
+# the amplifiers are told.
+#
+# This module imports numba: import it only inside functions.
+
+
+@compiled
+def control(
+    law: SampledLaw, drive: Any, k: int, y: Any, x: Any, held: Any, u: Any, err: Any, ahead: Any
+) -> None:
+    """One sample of the controller: err = r - y, u (a,) what acts now, held (a,) what acts later;
+    ahead (m,) is scratch.
+    """
+    n, m = x.shape[0], y.shape[0]
+    # e = r - y; with a delay of one sample what was computed last acts now
+    for a in range(m):
+        u[a] = held[a]
+        err[a] = drive.reference[a, k] - y[a]
+    for a in range(m):
+        value = 0.0
+        for j in range(n):
+            value += law.C[a, j] * x[j]
+        for j in range(m):
+            value += law.D[a, j] * err[j]
+        held[a] = min(max(value, -law.limit[a]), law.limit[a])
+
+    # x_(k+1) = A x_k + B e_k
+    for i in range(n):
+        value = 0.0
+        for j in range(n):
+            value += law.A[i, j] * x[j]
+        for j in range(m):
+            value += law.B[i, j] * err[j]
+        ahead[i] = value
+    for i in range(n):
+        x[i] = ahead[i]
+    if law.delay == 0:
+        for a in range(m):
+            u[a] = held[a]
+
+
+@compiled
+def run_program(
+    law: SampledLaw, program: Any, drive: Any, k: int, y: Any, held: Any, u: Any, err: Any
+) -> int:
+    """One sample of a program at an address: what it computes acts at the next one. Negative where
+    it gave up.
+    """
+    m = y.shape[0]
+    for a in range(m):
+        u[a] = held[a]
+        err[a] = drive.reference[a, k] - y[a]
+
+    # signals: inputs (m), outputs (m), then what it is scheduled over; 8 bytes each
+    for i in range(m):
+        program.signals[i] = err[program.into[i]]
+    for i in range(drive.told.shape[1]):
+        program.signals[2 * m + i] = drive.told[k, i]
+    at = program.place
+    failed: int = by_address(program.address, program.first, at, at + 16 * m, at + 8 * m)
+    for a in range(m):
+        held[a] = min(max(program.signals[m + program.out[a]], -law.limit[a]), law.limit[a])
+    return failed
+
+
+@compiled
+def command(drive: Any, work: Any, k: int, u: Any) -> None:
+    """What the amplifiers are told: controller plus excitation; nothing without power."""
+    for a in range(u.shape[0]):
+        work.command[a] = (u[a] + drive.excitation[a, k]) * drive.powered[a, k]
+
 
 _TOLD = 2  # at most: speed and pressure
 _DOUBLES = ctypes.POINTER(ctypes.c_double)

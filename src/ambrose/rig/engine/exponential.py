@@ -1,7 +1,7 @@
 """The virtual rig's fast step: an exponential Runge-Kutta method of third order, exact in all that
 is linear.
 
-z' = L z + B_u u + w + B F(y, t), y = C z + D u: the propagator (propagator.py) moves the linear
+z' = L z + B_u u + w + B F(y, t), y = C z + D u: the propagator (equilibrium.py) moves the linear
 part exactly; F is what the magnets' force is beyond its linear part, and what a change of speed or
 pressure within the stretch adds. Weight, driven forces and unbalance at the propagator's speed are
 exact as well. This module imports numba: import it only in functions.
@@ -12,16 +12,16 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from ambrose.rig.engine.inlined import (
+from ambrose.rig.engine.products import (
     compiled,
     coordinates,
     magnet_force,
     merged,
+    products,
     seal_force,
     state_force,
     turning_force,
 )
-from ambrose.rig.engine.products import products
 
 _OFF = 1e-7  # rad
 fill, add = products()

@@ -11,17 +11,16 @@ from typing import NamedTuple
 import numpy as np
 
 from ambrose.core.checks import invalid
-from ambrose.law.scheduling import PRESSURE, SPEED, Scheduling
+from ambrose.law.law import PRESSURE, SPEED, Scheduling
 from ambrose.machine.attachment import attached
-from ambrose.machine.messages import meant, suggestion
-from ambrose.machine.seals import Seal
+from ambrose.machine.part import Seal
+from ambrose.machine.units import meant, suggestion
 from ambrose.model.assemble import seal_poles
 from ambrose.model.effect import joined, reactions
 from ambrose.model.effects import seal, seal_rational
-from ambrose.rig.disturbances import sensed
 from ambrose.rig.engine.state import Rig
-from ambrose.rig.scenario import Scenario
-from ambrose.rig.waveforms import directions, sample_of, waveforms, without_power
+from ambrose.rig.linear import directions, sample_of, waveforms, without_power
+from ambrose.rig.scenario import Scenario, sensed
 
 _SEAL_GRID = 50  # samples between the points at which a varying operating point is looked up
 

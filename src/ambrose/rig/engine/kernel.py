@@ -16,13 +16,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ambrose.rig.engine.axial_kernel import measured, move, write_down
-from ambrose.rig.engine.cache import compile_kept
+from ambrose.rig.engine.controller import command, control, run_program
 from ambrose.rig.engine.exponential import propagate, settled
-from ambrose.rig.engine.inlined import (
+from ambrose.rig.engine.products import (
     OPTIONS,
     amplifier_derivative,
     by_address,
     coil_current,
+    compile_kept,
     compiled,
     contact_force,
     converted,
@@ -41,10 +42,7 @@ from ambrose.rig.engine.inlined import (
     stops,
     turning_force,
 )
-from ambrose.rig.engine.inlined import (
-    lag as sensor_lag,
-)
-from ambrose.rig.engine.sampled import command, control, run_program
+from ambrose.rig.engine.products import lag as sensor_lag
 
 if TYPE_CHECKING:
     from ambrose.rig.engine.controller import SampledLaw

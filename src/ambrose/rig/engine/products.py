@@ -10,10 +10,157 @@ This module imports numba in ``products`` only.
 
 from __future__ import annotations
 
+import inspect
+import os
+import shutil
+import stat
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from llvmlite import ir
+from numba import njit, types
+from numba.core import config
+from numba.extending import intrinsic
+
+from ambrose.model.effects import amplifier, magnet, seal, seal_rational, sensor, touchdown
+from ambrose.model.effects import stations as unbalance
+
+# Where the compiled rig is kept between runs.
+#
+# Numba keeps it beside the source, else in the user's cache folder (NUMBA_CACHE_DIR, XDG_CACHE_HOME
+# or the system's own). A service on a read-only image may have neither: then in a private folder of
+# the temporary ones, which lasts until the system clears it.
+#
+# This module imports numba: import it only inside functions.
+
+
+_ROOM = 16 << 20  # bytes free where compiled code is kept, or it is compiled anew in every run
+
+
+def compile_kept(functions: tuple[Callable[..., Any], ...], **options: Any) -> tuple[Any, ...]:
+    """The functions as numba compiles them, kept on disk where there is a place with room."""
+    for place in (None, private_folder):
+        with suppress(RuntimeError, OSError), _kept_in(place):  # no folder to write to
+            kept = tuple(njit(cache=True, **options)(function) for function in functions)
+            if shutil.disk_usage(kept[0].stats.cache_path).free > _ROOM:
+                return kept
+    return tuple(njit(**options)(function) for function in functions)
+
+
+def is_kept(function: Any) -> bool:
+    """Whether a compiled function of ``compile_kept`` has been kept by an earlier run."""
+    path = function.stats.cache_path
+    return path is not None and any(Path(path).glob(f"*.{function.py_func.__name__}-*.nbi"))
+
+
+def private_folder() -> str:
+    """A folder of this user alone among the temporary ones. Raises OSError where that name is
+    another user's, or others may write there: what is loaded from it runs.
+    """
+    user = os.getuid() if hasattr(os, "getuid") else 0
+    folder = Path(tempfile.gettempdir()) / f"ambrose-compiled-{user}"
+    with suppress(FileExistsError):
+        folder.mkdir(mode=0o700)
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != user or found.st_mode & 0o022:
+        raise PermissionError(f"{folder} is not this user's alone")
+    return str(folder)
+
+
+@contextmanager
+def _kept_in(place: Callable[[], str] | None) -> Iterator[None]:
+    """Numba's cache in another folder; None: where numba has it."""
+    settings: Any = config
+    before = settings.CACHE_DIR
+    try:
+        if place is not None:
+            settings.CACHE_DIR = place()
+        yield
+    finally:
+        settings.CACHE_DIR = before
+
+
+# What the compiled parts of the virtual rig have in common: numba's options, and the forces of
+# ``model.effects`` made to be inlined.
+#
+# This module imports numba: import it only inside functions.
+
+
+# Sums may be vectorised, but NaN and infinity stay what they are; nothing here allocates an array,
+# so none is counted. Stages that were called instead of inlined would copy the descriptions of some
+# forty arrays every time: ten times slower.
+OPTIONS: dict[str, Any] = {
+    "fastmath": {"reassoc", "contract", "nsz", "arcp"},
+    "error_model": "numpy",
+    "_nrt": False,
+}
+
+
+# never called by Python
+_INNER: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
+
+def compiled(function: Callable[..., Any]) -> Any:
+    return njit(**_INNER, **OPTIONS)(inspect.unwrap(function))
+
+
+def merged(function: Callable[..., Any]) -> Any:
+    """A stage that becomes part of its caller before types are inferred: what is compiled on its
+    own is optimised on its own, and once more in every caller.
+    """
+    return njit(inline="always", **OPTIONS)(function)
+
+
+magnet_force = compiled(magnet.force)
+amplifier_derivative = compiled(amplifier.derivative)
+stops = compiled(amplifier.stops)
+coil_current = compiled(amplifier.coil_current)
+effective_current = compiled(amplifier.effective_current)
+contact_force = compiled(touchdown.force)
+element_forces = compiled(touchdown.elements)
+mount_force = compiled(touchdown.mount)
+race_drag = compiled(touchdown.race_drag)
+seal_force = compiled(seal.force)
+state_force = compiled(seal_rational.force)
+seal_lag = compiled(seal_rational.lag)
+turning_force = compiled(unbalance.force)
+runout = compiled(sensor.runout)
+indicated = compiled(sensor.indicated)
+lag = compiled(sensor.lag)
+converted = compiled(sensor.sampled)
+
+
+@intrinsic
+def _call(context: Any, address: Any, first: Any, errors: Any, told: Any, currents: Any) -> Any:
+    """int f(void *, const double *, const double *, double *) at an address; the pointers are
+    integers, too.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        byte = ir.IntType(8).as_pointer()
+        kind = ir.FunctionType(ir.IntType(32), [byte] * 4)
+        pointers = [builder.inttoptr(item, byte) for item in given[1:]]
+        return builder.call(builder.inttoptr(given[0], kind.as_pointer()), pointers)
+
+    whole = types.int64
+    return types.int32(*[whole] * 5), generate
+
+
+by_address: Any = _call  # whose first argument, the compiler's context, is numba's own
+
+
+@njit(inline="always")
+def coordinates(rig: Any) -> int:
+    """How many displacements the state has: of the rotor's modes in both planes and of the
+    supports.
+    """
+    return 2 * rig.stiffness.shape[0] + rig.support.shape[0]
+
 
 ROWS = 8  # of a block
 COLUMNS = 4  # side by side

@@ -19,8 +19,7 @@ from ambrose.core.checks import invalid
 from ambrose.machine.attachment import attached
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
-from ambrose.model.assemble import seal_model
-from ambrose.model.basis import bending_modes_of, gyroscopic_of
+from ambrose.model.assemble import bending_modes_of, gyroscopic_of, seal_model
 from ambrose.model.effect import joined, reactions
 from ambrose.model.effects import (
     amplifier,
@@ -29,7 +28,9 @@ from ambrose.model.effects import (
     seal_rational,
     sensor,
     touchdown,
-    unbalance,
+)
+from ambrose.model.effects import (
+    stations as unbalance,
 )
 from ambrose.model.effects.rotor import (
     STANDARD_GRAVITY,
@@ -40,7 +41,7 @@ from ambrose.model.effects.rotor import (
     gravity_load,
 )
 from ambrose.model.effects.support import foundation
-from ambrose.model.ports import ports, sensor_ports
+from ambrose.model.plant import ports, sensor_ports
 from ambrose.model.static_load import operating_magnets
 
 RIG_MODES = 3  # bending modes per plane, as many as identification models
@@ -354,7 +355,7 @@ def _seal_lags(machine: Machine, point: OperatingPoint) -> np.ndarray:
 
 def kept() -> bool:
     """Whether an earlier run has left them compiled."""
-    from ambrose.rig.engine.cache import is_kept
+    from ambrose.rig.engine.products import is_kept
 
     return all(map(is_kept, compiled()))
 
@@ -364,8 +365,18 @@ def compiled() -> tuple[Any, Any]:
     """The compiled functions ``advance`` and ``slope`` of kernel.py; on a computer that never ran
     them their first call takes some forty seconds of a processor.
     """
-    from ambrose.rig.engine import axial_kernel, exponential, inlined, products, sampled
+    from ambrose.rig.engine import (
+        axial_kernel,
+        exponential,
+        products,
+    )
+    from ambrose.rig.engine import (
+        controller as sampled,
+    )
     from ambrose.rig.engine import kernel as rig_kernel
+    from ambrose.rig.engine import (
+        products as inlined,
+    )
 
     physics = (amplifier, magnet, seal, seal_rational, sensor, touchdown, unbalance)
     modules = (rig_kernel, axial_kernel, exponential, inlined, products, sampled, *physics)

@@ -1,7 +1,7 @@
 """A filter bank that is tuned: its unknowns are the logarithms of the gains, times, frequencies and
 dampings of every chain.
 
-Theta of the whole bank (law/filters.py) is a product of small matrices, analytic in the
+Theta of the whole bank (law/pid.py) is a product of small matrices, analytic in the
 parameters. The slope goes back through the products, and each section's own derivative is a complex
 step, exact to rounding (Squire & Trapp 1998). Poles that would run to infinity, and dampings, end
 softly at limits: value = least + 1/(1/(limit - least) + exp(-x)).
@@ -17,17 +17,21 @@ import numpy as np
 
 from ambrose.core.checks import invalid
 from ambrose.core.statespace import StateSpace
-from ambrose.law.filters import (
+from ambrose.law.pid import (
     DERIVATIVE_FILTER,
     bank,
     chain,
+    channel_chains,
+    channel_names,
     embedded,
+    first_settings,
+    mixings,
     section_matrix,
     section_text,
+    theta_system,
 )
-from ambrose.law.pid import channel_chains, channel_names, first_settings, mixings, theta_system
-from ambrose.machine.controller import SECTIONS, Channel, PidSettings, Section
 from ambrose.machine.machine import Machine
+from ambrose.machine.part import SECTIONS, Channel, PidSettings, Section
 from ambrose.model.effects.rotor import finite_element_rotor, free_modes
 from ambrose.model.static_load import magnet_coefficients
 

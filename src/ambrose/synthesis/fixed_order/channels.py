@@ -14,9 +14,273 @@ import numpy as np
 from scipy.linalg import solve_banded
 from scipy.sparse import csr_array
 
+from ambrose.core.aliasing import FastModes, fast_modes
+from ambrose.core.frequency import SchurForm, evaluate, frequency_response, schur_form
+from ambrose.core.sampling import c2d, delayed, hold
+from ambrose.core.statespace import StateSpace, balance_system, select
+from ambrose.law.loop import Timing
+from ambrose.machine.criteria import CLEARANCE, SENSITIVITY, demand
 from ambrose.machine.criteria import CURRENT_PULSE as PULSE
-from ambrose.synthesis.fixed_order.aims import Aims
-from ambrose.synthesis.fixed_order.loops import LoopModel
+from ambrose.machine.machine import Machine
+from ambrose.model.effects.rotor import finite_element_rotor, free_modes
+from ambrose.model.plant import Plant, highest_verified, top_speed
+from ambrose.model.static_load import magnet_coefficients, residual_unbalance
+
+# What tuning aims at: the requirements of the machine file and the standards' defaults, as limits
+# of a loop's responses.
+#
+# Limits that the file leaves out are those that verification judges by (machine/criteria.py). Three
+# are guards of ours, without which a search exploits what nobody looks at: the controller's gain,
+# the damping of modes above the running speed, and a sensitivity that falls towards zero frequency,
+# so that an integral action is kept.
+
+
+# assumed: sigma_max(S_o) below 2 rad/s falls to 0.01; with a settling time t_s below 1/t_s
+_BANDWIDTH, _STIFF = 2.0, 0.01
+_GAIN = 1.5  # assumed: times the largest gain of the controller that tuning starts from
+_GUARD = 0.3  # assumed: of the rotor's modal damping, for modes above the top speed
+DAMPING_GUARD = "damping_above"  # the ratio of that guard
+SENSITIVITY_GUARD = "sensitivity_low"  # and of the one towards zero frequency,
+FALLS = 0.99  # which stands where the limit is below this share of that of the sensitivity
+_MARGIN = 1.05  # of the log decrement, which is judged on the full plant
+_ROLLED = 8.0  # the grid reaches this many times past the roll-off
+_BEYOND = 2.4  # the grid reaches this many times past the range of ISO 14839-3
+
+
+@dataclass(frozen=True, slots=True)
+class Aims:
+    """Limits; None asks for nothing.
+
+    sensitivity M, bandwidth [rad/s], stiff: sigma_max(S_o) stays below |(s + w_B A)/(s/M + w_B)|.
+    gain [A/m]: of K S_o, falling above roll_off [rad/s]. unbalance U [kg m] up to ``unbalance_to``
+    [rad/s]: orbit [m], currents (a,) [A] and forces (a,) [N] (nan: none), voltage: (largest [V],
+    inductance [H]) of a coil. compliance [m/N]. settling [s] after the current pulse. damping [-]
+    of modes below ``damped_to`` [rad/s], guard [-] of those above. running [rad/s]: lowest and
+    highest speed, near which modes are damped as API 617's separation margin asks. highest [rad/s]:
+    end of the grid. gain_asked, damping_asked: whether the machine file asks for the
+    gain and for the damping of modes above; tame [A/m]: the
+    guard of it where the file does not.
+    """
+
+    sensitivity: float
+    gain: float
+    currents: tuple[float, ...]
+    forces: tuple[float, ...]
+    damping: float
+    damped_to: float
+    guard: float
+    highest: float
+    unbalance: float = 0.0
+    unbalance_to: float = 0.0
+    orbit: float | None = None
+    compliance: float | None = None
+    settling: float | None = None
+    bandwidth: float = _BANDWIDTH
+    stiff: float = _STIFF
+    roll_off: float | None = None
+    running: tuple[float, float] | None = None
+    gain_asked: bool = False
+    damping_asked: bool = False
+    tame: float = np.inf
+    voltage: tuple[float, float] | None = None
+
+    @property
+    def guards(self) -> dict[str, str]:
+        """The ratios that no requirement asks for, each in words: what a search is kept from."""
+        words = {
+            SENSITIVITY_GUARD: "sensitivity that falls towards zero frequency, so that an integral "
+            f"action is kept: to {self.stiff:g} below {self.bandwidth:.3g} rad/s"
+        }
+        if not self.damping_asked:
+            words[DAMPING_GUARD] = (
+                f"damping of modes above the top speed, {_GUARD:g} of the rotor's own; a "
+                "damping_above of the file replaces it"
+            )
+        if not self.gain_asked:
+            words["gain"] = (
+                f"gain of K S_o, {_GAIN:g} times the largest of the start's; a control_gain of the "
+                "file replaces it"
+            )
+        return words
+
+    def sensitivity_limit(self, omega: np.ndarray) -> np.ndarray:
+        """The limit of sigma_max(S_o) at omega (w,) [rad/s]."""
+        s = 1j * omega
+        return np.abs((s + self.bandwidth * self.stiff) / (s / self.sensitivity + self.bandwidth))
+
+    def gain_limit(self, omega: np.ndarray) -> np.ndarray:
+        """The limit of sigma_max(K S_o) at omega (w,) [rad/s], (w,) [A/m]."""
+        return self.gain / (
+            np.ones(len(omega)) if self.roll_off is None else np.hypot(1, omega / self.roll_off)
+        )
+
+
+def aims_of(machine: Machine, start: StateSpace) -> Aims:
+    """The aims of a machine; start: the controller that tuning starts from, for the guard of the
+    gain. Raises InvalidInput.
+    """
+    wanted = machine.requirements
+    residual = residual_unbalance(machine)
+    top = top_speed(machine)
+    peak = (
+        demand("maximum singular value of a sensitivity", wanted).limit
+        or SENSITIVITY.limits[0].value
+    )
+
+    # sigma_max(S_o) <= g / (g - 1) leaves a gain margin g, and 1 / (2 sin(phi / 2)) a phase margin
+    # phi.
+    margins = [peak]
+    if wanted.gain_margin is not None and wanted.gain_margin > 1:  # both follow from sigma_max(S_o)
+        margins.append(wanted.gain_margin / (wanted.gain_margin - 1))
+    if wanted.phase_margin is not None and 0 < wanted.phase_margin < np.pi:
+        margins.append(1 / (2 * np.sin(wanted.phase_margin / 2)))
+    gaps = [gap for b in machine.bearings if (gap := b.touchdown_gap or b.gap) is not None]
+    orbits = [
+        value
+        for value in (wanted.unbalance_orbit, *(CLEARANCE.limits[0].value * gap for gap in gaps))
+        if value is not None
+    ]
+    decrement = demand("log decrement", wanted).limit or 0.0
+
+    # zeta = decrement / sqrt(4 pi^2 + decrement^2)
+    damping = _MARGIN * decrement / np.hypot(2 * np.pi, decrement)
+    bearings = machine.axis_bearings
+    allowed = [wanted.max_current or b.max_current for b in bearings]
+    coil = machine.amplifier
+    largest = np.abs(frequency_response(start, np.geomspace(1, 1e6, 60)).values).max()
+    tame = _GAIN * float(largest)
+    above = wanted.damping_above
+    modes = free_modes(finite_element_rotor(machine), 1)
+    bending = modes.frequencies[-1]
+    return Aims(
+        sensitivity=min(margins),
+        gain=wanted.control_gain or tame,
+        tame=tame,
+        currents=tuple(np.nan if value is None else float(value) for value in allowed),
+        forces=tuple(np.nan if b.max_force is None else float(b.max_force) for b in bearings),
+        damping=damping,
+        damped_to=max(1.1 * top, 0.5 * float(bending)) if above is None else top,
+        guard=_GUARD * float(modes.damping_ratios(machine)[-1]) if above is None else above,
+        highest=max(_BEYOND * highest_verified(machine), _ROLLED * (wanted.roll_off or 0.0)),
+        unbalance=0.0 if residual is None else residual.moment,
+        unbalance_to=wanted.unbalance_to or top or (0.0 if residual is None else residual.speed),
+        orbit=min(orbits, default=None),
+        compliance=wanted.compliance_peak,
+        settling=wanted.settling_time,
+        bandwidth=_BANDWIDTH
+        if wanted.settling_time is None
+        else max(_BANDWIDTH, 1 / wanted.settling_time),
+        roll_off=wanted.roll_off,
+        running=wanted.running_speeds,
+        damping_asked=above is not None,
+        gain_asked=wanted.control_gain is not None,
+        voltage=None
+        if coil.max_voltage is None or coil.inductance is None
+        else (coil.max_voltage, coil.inductance),
+    )
+
+
+# The loop that is tuned: a plant at one operating point with the controller as it runs there,
+# sampled and late.
+#
+# The sampled loop is exact and yet rational in a continuous variable: with w = (2/T) (z - 1)/(z +
+# 1) Tustin's map leaves the controller as it is, and the plant, sampled behind its hold and late by
+# whole samples, becomes another continuous plant (Franklin, Powell & Workman 1998, sec. 7.3).
+# Frequency responses are taken at true frequencies: the plant's times hold and delay, the
+# controller's at (2/T) tan(w T/2); aliasing is left out, as in verification.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopModel:
+    """A, B, C, D: currents u to displacements y in the variable w; form: u, f at the bearings -> y,
+    q at the bearings, i.
+
+    magnet: k_i (a,) [N/A] and k_s (a,) [N/m]. speed [rad/s]: of the operating point. fast: the
+    plant's modes above half the sample rate in these states, right (N, h), left (h, N); None
+    without any.
+    """
+
+    label: str
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    form: SchurForm
+    magnet: tuple[np.ndarray, np.ndarray]
+    timing: Timing | None
+    speed: float
+    fast: FastModes | None = None
+
+    def response(self, omega: np.ndarray) -> np.ndarray:
+        """u, f -> y, q, i at omega (w,) [rad/s]: (w, 3a, 2a), with hold and delay on u."""
+        P = evaluate(self.form, 1j * omega)
+        if self.timing is not None:
+            P[:, :, : P.shape[1] // 3] *= lateness(omega, self.timing)[:, None, None]
+        return P
+
+
+def loop_model(plant: Plant, timing: Timing | None, label: str = "") -> LoopModel:
+    """The model of a plant, full or reduced, for a controller that runs with ``timing`` (None:
+    continuous).
+    """
+    part = select(plant.system, plant.named("u"), plant.named("y"))
+    A = part.A
+    B = part.B
+    C = part.C
+    D = part.D
+    fast = None
+    if timing is not None:
+        T = timing.sample_time
+        fast = fast_modes(A, T)
+
+        # z = (1 + w T/2) / (1 - w T/2) in C (zI - A)^-1 B + D, with E = (A + I)^-1:
+        # A_w = 2/T E (A - I),  B_w = 2/sqrt(T) E B,  C_w = 2/sqrt(T) C E,  D_w = D - C E B.
+        late = delayed(c2d(part, T), timing.delay_samples)
+        E = np.linalg.inv(late.A + np.eye(late.n_states))
+        A, B = (2 / T) * E @ (late.A - np.eye(late.n_states)), E @ late.B * (2 / np.sqrt(T))
+        C, D = late.C @ E * (2 / np.sqrt(T)), late.D - late.C @ E @ late.B
+    A, B, C, t = balance_system(A, B, C)
+    if fast is not None:
+        # Tustin's map keeps the states but for a factor that they all share: the delay's come
+        # first, then the plant's, and the controller's whatever its own are.
+        fast = fast.behind(len(A) - len(fast.right)).scaled(t)
+
+    # Responses come from the plant in s, at true frequencies; A to D above serve the poles.
+    outer = select(
+        plant.system,
+        [*plant.named("u"), *plant.bearing_named("f")],
+        [*plant.named("y"), *plant.bearing_named("q"), *plant.named("i")],
+    )
+    form = schur_form(outer.A, outer.B, outer.C, outer.D, expand=True)
+    magnet = magnet_coefficients(plant.machine, plant.point)
+    return LoopModel(
+        label or plant.point.label, A, B, C, D, form, magnet, timing, plant.point.speed, fast
+    )
+
+
+def lateness(omega: np.ndarray, timing: Timing) -> np.ndarray:
+    """Hold and delay of the currents at omega (w,) [rad/s], (w,)."""
+    T = timing.sample_time
+    return np.asarray(hold(omega, T) * np.exp(-1j * omega * T * timing.delay_samples))
+
+
+def warped(omega: np.ndarray, timing: Timing | None) -> np.ndarray:
+    """Where on the w axis a frequency [rad/s] of the sampled loop lies; continuous loops:
+    unchanged.
+    """
+    if timing is None:
+        return omega
+    T = timing.sample_time
+    return np.asarray(2 / T * np.tan(omega * T / 2))
+
+
+def unwarped(omega: np.ndarray, timing: Timing | None) -> np.ndarray:
+    """The inverse of ``warped``."""
+    if timing is None:
+        return omega
+    T = timing.sample_time
+    return np.asarray(2 / T * np.arctan(omega * T / 2))
+
 
 _TIMED_TO = 2e4  # rad/s; what is faster than that does not matter for settling
 # rad/s; below it a step of the quadrature turns the latest time by this phase, above it 4 pulse

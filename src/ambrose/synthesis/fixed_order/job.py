@@ -12,21 +12,20 @@ import scipy.linalg as sla
 
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.frequency import frequency_response, largest_gain
+from ambrose.core.processes import TimeLimit
 from ambrose.core.statespace import StateSpace
-from ambrose.core.time_limit import TimeLimit
-from ambrose.judge.certificate import fastest_pole
+from ambrose.judge.result import fastest_pole
+from ambrose.law.loop import Timing
 from ambrose.law.pid import pid_controller
-from ambrose.law.timing import Timing
-from ambrose.machine.controller import PidSettings
-from ambrose.machine.limits import STATES
 from ambrose.machine.machine import Machine
-from ambrose.model.basis import bending_modes_of, modes_judged
+from ambrose.machine.ordinary_file import STATES
+from ambrose.machine.part import PidSettings
+from ambrose.model.assemble import bending_modes_of, modes_judged
 from ambrose.model.effects.rotor import free_modes
 from ambrose.model.plant import Plant
-from ambrose.model.reduce import reduce, reduce_from
-from ambrose.synthesis.fixed_order.aims import Aims, aims_of
+from ambrose.model.uncertainty import reduce, reduce_from
 from ambrose.synthesis.fixed_order.bank import BANKS, first_bank
-from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, warped
+from ambrose.synthesis.fixed_order.channels import Aims, LoopModel, aims_of, loop_model, warped
 from ambrose.synthesis.fixed_order.objective import Objective
 from ambrose.synthesis.fixed_order.structure import Groups, axis_groups, structured
 

@@ -15,16 +15,16 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.norms import hinf_norm
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import feedback, is_stable, select, series, static_gain
-from ambrose.judge.as_it_runs import sampled_margins
+from ambrose.judge.result import sampled_margins
 from ambrose.judge.verdict import verify_controller
 from ambrose.law.design_problem import design_plant
-from ambrose.law.scheduling import PRESSURE
-from ambrose.law.timing import Timing
+from ambrose.law.law import PRESSURE
+from ambrose.law.loop import Timing
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import reduce
 from ambrose.synthesis.design import design, methods_for
-from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.methods.choice import methods
+from ambrose.synthesis.hinf import hinf_synthesis
+from ambrose.synthesis.methods import methods
 from coarse import coarse
 
 HZ = 2 * np.pi

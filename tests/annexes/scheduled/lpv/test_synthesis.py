@@ -16,7 +16,7 @@ from ambrose.core.norms import hinf_norm
 from ambrose.core.response import simulate_piecewise
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, spectral_abscissa
-from ambrose.synthesis.hinf.synthesis import hinf_synthesis
+from ambrose.synthesis.hinf import hinf_synthesis
 
 GRID = np.linspace(1.0, 5.0, 4)
 
@@ -83,8 +83,8 @@ def test_inequality_recomputed_by_hand(designed):
     clarabel = pytest.importorskip("clarabel")
     from scipy import sparse
 
-    from ambrose.core.hinf.lmi import symmetric_basis
-    from ambrose.core.matrix_inequalities.semidefinite import svec
+    from ambrose.core.hinf_lmi import symmetric_basis
+    from ambrose.core.matrix_inequalities import svec
 
     loops = [lft(oscillator(k), designed.scheduled.at(k)) for k in np.linspace(1, 5, 9)]
     n, g = loops[0].n_states, designed.gamma * 1.001

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
-from ambrose.annexes.scheduled.lpv.machine import plants_along
-from ambrose.annexes.scheduled.lpv.tolerances import (
+from ambrose.annexes.scheduled.lpv.machine import (
     Worst,
     constant_scaling,
+    plants_along,
     tolerant_lpv,
     worst_corners,
 )
@@ -23,7 +23,7 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import close_uncertainty, lft
 from ambrose.core.mu.bounds import mu_bounds
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.judge.certificate import certify
+from ambrose.judge.result import certify
 from ambrose.law.design_problem import (
     design_plant,
     open_model,
@@ -31,9 +31,9 @@ from ambrose.law.design_problem import (
     with_performance_block,
 )
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.synthesis.design import design
-from ambrose.synthesis.hinf.synthesis import hinf_synthesis
+from ambrose.synthesis.hinf import hinf_synthesis
 
 HZ = 2 * np.pi
 

@@ -9,20 +9,17 @@ import numpy as np
 import pytest
 
 import ambrose as amb
-from ambrose.annexes.scheduled.seal_monitor.estimator import students_t
-from ambrose.annexes.scheduled.seal_monitor.model import seal_model
-from ambrose.annexes.scheduled.seal_monitor.signals import NOTCH, measuring_filter
-from ambrose.annexes.scheduled.seal_monitor.watch import SealMonitor, monitor
+from ambrose.annexes.scheduled.seal_monitor import seal_model, students_t
+from ambrose.annexes.scheduled.seal_watch import NOTCH, SealMonitor, measuring_filter, monitor
 from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate, simulate_piecewise
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.law.loop import closed_loop, match_controller
 from ambrose.machine.description import Tolerance
-from ambrose.machine.seals import SealTable
+from ambrose.machine.part import SealTable
 from ambrose.model.assemble import assemble
-from ambrose.model.reduce import free_mode_reduction
-from ambrose.model.uncertainty import perturbed
+from ambrose.model.uncertainty import free_mode_reduction, perturbed
 from ambrose.record.record import Record
 from ambrose.synthesis.pid import pid_synthesis
 

@@ -9,18 +9,15 @@ import pytest
 from click.testing import CliRunner
 
 import ambrose as amb
-from ambrose.annexes.site.balancing.correction import balance
-from ambrose.annexes.site.balancing.vectors import revolution
+from ambrose.annexes.site.balancing import balance, revolution
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import Tolerance
-from ambrose.machine.seals import Seal
-from ambrose.machine.stator import Runout
+from ambrose.machine.part import Runout, Seal
 from ambrose.model.effects import sensor
 from ambrose.model.static_load import stated_at_load
 from ambrose.record.record import Record
-from ambrose.rig.disturbances import Sine, Unbalance
-from ambrose.rig.scenario import Scenario
+from ambrose.rig.scenario import Scenario, Sine, Unbalance
 
 TOP, SLOW = 2 * np.pi * 150, 2 * np.pi * 20
 PLANES = {"impeller": 0.05, "free-end": 0.05}

@@ -10,10 +10,10 @@ import pytest
 from click.testing import CliRunner
 
 import ambrose as amb
-from ambrose.annexes.site.balancing.amplitude_table import read_amplitudes
-from ambrose.annexes.site.balancing.synchronous import (
+from ambrose.annexes.site.balancing_vectors import (
     balance_amplitudes,
     grown,
+    read_amplitudes,
     unbalance_from_amplitudes,
 )
 from ambrose.cli import main
@@ -22,7 +22,7 @@ from ambrose.law.pid import pid_controller
 from ambrose.law.synchronous import Condition, forward_patterns, synchronous_loop
 from ambrose.law.synchronous_block import BlockLaw, SynchronousBlock, SynchronousLaw
 from ambrose.machine.file.toml import load_machine
-from ambrose.machine.synchronous import Synchronous
+from ambrose.machine.part import Synchronous
 from needs import needs
 
 REST = Condition(0.0)
@@ -265,9 +265,8 @@ def test_one_hold_on_the_rig_falls_by_30_db_and_tells_93_percent_of_the_unbalanc
     leaves.
     """
     from ambrose.code.c.synchronous import CompiledSynchronous
-    from ambrose.law.synchronous_table import running_law
-    from ambrose.rig.disturbances import Unbalance
-    from ambrose.rig.scenario import Scenario
+    from ambrose.law.synchronous import running_law
+    from ambrose.rig.scenario import Scenario, Unbalance
     from ambrose.rig.synchronous import synchronous_program
     from ambrose.rig.virtual_rig import run
     from ambrose.synthesis.synchronous_design import design_synchronous

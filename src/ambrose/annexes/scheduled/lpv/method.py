@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from ambrose.options import Options, bar, count, ends, hertz, option, positive
-from ambrose.synthesis.methods.method import Method, Progress
+from ambrose.synthesis.methods import Method, Progress
 
 if TYPE_CHECKING:
     from ambrose.judge.result import Synthesis
-    from ambrose.law.scheduling import Scheduling
+    from ambrose.law.law import Scheduling
     from ambrose.model.plant import Plant
 
 Ends = tuple[float, float]
@@ -97,7 +97,7 @@ class Lpv(Method):
     @property
     def schedules(self) -> tuple[tuple[Scheduling, Ends | None, float | None], ...]:
         """What is asked to be scheduled over: parameter, its ends and its largest rate."""
-        from ambrose.law.scheduling import PRESSURE, SPEED
+        from ambrose.law.law import PRESSURE, SPEED
 
         ranges = (
             (SPEED, self.speeds, self.speed_rate),
@@ -110,7 +110,7 @@ class Lpv(Method):
         """Whether the operating points around the plant's give a range of speeds to schedule
         over.
         """
-        from ambrose.machine.axial import AxialMachine
+        from ambrose.machine.machine import AxialMachine
 
         along = isinstance(plant.machine, AxialMachine)
         return not along and _range_of_speeds(plant) and plant.machine.weights is not None
@@ -119,8 +119,8 @@ class Lpv(Method):
         import numpy as np
 
         from ambrose.annexes.scheduled.lpv.machine import POINTS, POINTS_OF_TWO, design_schedule
-        from ambrose.law.scheduling import BOTH
-        from ambrose.machine.axial import across_the_shaft
+        from ambrose.law.law import BOTH
+        from ambrose.machine.machine import across_the_shaft
 
         across_the_shaft(plant.machine, "no law along it follows speed or pressure", "take mu")
         asked = self.schedules or ((_varied(plant), None, None),)
@@ -155,7 +155,7 @@ def _varied(plant: Plant) -> Scheduling:
     """The pressure where the operating points around the plant's have several and one speed, else
     the speed.
     """
-    from ambrose.law.scheduling import PRESSURE, SPEED
+    from ambrose.law.law import PRESSURE, SPEED
 
     pressures = {
         p.seal_pressure for p in plant.machine.operation.envelope if p.speed == plant.point.speed

@@ -1,4 +1,4 @@
-"""The screens that Python describes, in the order of the work; each is one file here.
+"""The screens that Python describes, in the order of the work; related ones in one file.
 
 A screen is a function ``show(project, given)`` that gives blocks (``blocks.content``), and actions
 by name that do something and give blocks as well. What they are given came from a page: words and
@@ -17,7 +17,7 @@ from ambrose.core.checks import InvalidInput
 
 Answer = Callable[[Project, Mapping[str, Any]], dict[str, Any]]
 
-# modules of this package, in the order of the work; None: the page has a script of its own for it
+# in the order of the work; OWN: the page has a script of its own for it
 TITLES: dict[str, str] = {
     "machine": "Machine",
     "records": "Records",
@@ -32,11 +32,18 @@ TITLES: dict[str, str] = {
     "jobs": "Jobs",
 }
 OWN = ("live", "jobs")
+# the module here that describes a screen, as SCREEN_MACHINE and so on
+_PLACES = {
+    **dict.fromkeys(("machine", "records"), "machine"),
+    "controllers": "controllers",
+    **dict.fromkeys(("identification", "acceptance", "retuning"), "site"),
+    **dict.fromkeys(("envelope", "deploy", "studies"), "studies"),
+}
 
 
 @dataclass(frozen=True, slots=True)
 class Screen:
-    """What a module here calls SCREEN: what it shows, and what may be asked of it."""
+    """What a screen shows, and what may be asked of it."""
 
     show: Answer
     actions: Mapping[str, Answer] = field(default_factory=dict)
@@ -44,16 +51,16 @@ class Screen:
 
 def load_all() -> None:
     """Every screen is imported, so that the first question need not wait for it."""
-    for name in TITLES:
-        if name not in OWN:
-            import_module(f"{__name__}.{name}")
+    for place in _PLACES.values():
+        import_module(f"{__name__}.{place}")
 
 
 def answer(project: Project, name: str, action: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """What a screen answers; action "": what it shows. Raises InvalidInput and Refusal."""
-    if name not in TITLES or name in OWN:
+    if name not in _PLACES:
         raise InvalidInput(f"there is no screen {str(name)[:60]!r}; reload the page")
-    screen: Screen = import_module(f"{__name__}.{name}").SCREEN
+    module = import_module(f"{__name__}.{_PLACES[name]}")
+    screen: Screen = getattr(module, f"SCREEN_{name.upper()}")
     if not action:
         return screen.show(project, given)
     if action not in screen.actions:

@@ -8,36 +8,128 @@ that the curves follow the hand; what is kept is judged on the full plant first,
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from ambrose.annexes.workbench import blocks
-from ambrose.annexes.workbench.blocks import Block, Refusal
-from ambrose.annexes.workbench.given import width, word
+from ambrose.annexes.workbench.blocks import (
+    Block,
+    Refusal,
+    fields_of,
+    lines_of,
+    values_of,
+    width,
+    with_numbers,
+    word,
+)
 from ambrose.annexes.workbench.jobs import CHOICES
 from ambrose.annexes.workbench.project import MACHINE, Project, slug
 from ambrose.annexes.workbench.screens import Screen
-from ambrose.annexes.workbench.sliders import fields_of, values_of
-from ambrose.core.checks import InvalidInput
+from ambrose.annexes.workbench.svg import nyquist_figure, svg
+from ambrose.core.checks import InvalidInput, named_failure
+from ambrose.core.frequency import largest_gain
+from ambrose.judge.campbell import modes
+from ambrose.judge.checks import Check, Curve, judge
 from ambrose.judge.controller_file import read_controller, write_controller
-from ambrose.judge.glance import Glance, glance
-from ambrose.judge.plants import campbell_map, full_plants
-from ambrose.law.law import Law, law_of
-from ambrose.law.loop import running_law
+from ambrose.judge.loop_response import ALL_AXES, frequency_grid, loop_evaluator, sensitivity_curve
+from ambrose.judge.margins import opened_loops
+from ambrose.judge.nominal import pulse_checks, pulse_response
+from ambrose.judge.plants import Stability, campbell_map, full_plants, judge_stability
+from ambrose.law.law import Law, LawLike, law_of
+from ambrose.law.loop import Timing, closed_loop, machine_timing, running_law, timing_of
 from ambrose.law.pid import first_settings, pid_controller
-from ambrose.law.timing import machine_timing, timing_of
-from ambrose.machine.controller import PidSettings
-from ambrose.machine.criteria import SENSITIVITY
+from ambrose.machine.criteria import (
+    SENSITIVITY,
+    SENSITIVITY_RANGE,
+    SPEED_RANGE_FACTOR,
+    TWO_PI,
+    demand,
+)
 from ambrose.machine.file.toml import loads_machine, read_machine_text
 from ambrose.machine.machine import Machine, require_magnets
-from ambrose.machine.setting_numbers import lines_of, with_numbers
-from ambrose.model.plant import Plant
-from ambrose.model.reduce import default_bending_modes, reduce
+from ambrose.machine.part import PidSettings
+from ambrose.model.plant import Plant, top_speed
+from ambrose.model.uncertainty import default_bending_modes, reduce
 from ambrose.report import tables, theme
 from ambrose.report.figures.curves import figure
-from ambrose.report.figures.nyquist import nyquist_figure
 from ambrose.report.page import Cell
-from ambrose.report.svg import svg
+
+# One loop at a glance: whether it holds, its sensitivity, its loci and a pulse, in milliseconds.
+#
+# For who turns a slider and looks: a part of ``nominal.check``, made of the same functions, without
+# its refined peaks and without what takes the machine apart along its speed. On a reduced plant it
+# says of how many bending modes; the verdict on the full plant is verify's.
+
+
+_LOWEST = 0.5 * TWO_PI  # [rad/s]
+_PER_DECADE = 60  # points of the grid, beside those around the poles
+LARGEST, MOST = "largest of the axes", "axis that moves most"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Glance:
+    """What one sees of a loop; of an unstable one only that.
+
+    sensitivity: the largest |S_ii| of any axis over frequency, which ISO 14839-3 judges; omega (w,)
+    [rad/s] and loci (w, a): the loop of every axis, opened at its sensor with the others closed;
+    pulse: the displacement that answers a short current, of the axis that
+    moves most, over the first quarter of a second. checks: the peaks on the grid of the largest
+    axis, which has a zone, and of all axes together, against the limits that ``check`` has.
+    """
+
+    stability: Stability
+    sensitivity: Curve | None = None
+    omega: np.ndarray | None = None
+    loci: np.ndarray | None = None
+    pulse: Curve | None = None
+    checks: tuple[Check, ...] = ()
+
+    @property
+    def peak(self) -> float:
+        """The largest sensitivity on the grid; inf where the loop is unstable."""
+        return np.inf if self.sensitivity is None else float(self.sensitivity.y.max())
+
+    @property
+    def passed(self) -> bool:
+        """Whether the loop is stable and meets the limits of its sensitivity, on the grid."""
+        return self.stability.stable and all(check.passed is not False for check in self.checks)
+
+
+@named_failure("the loop")
+def glance(plant: Plant, given: LawLike, timing: Timing | None) -> Glance:
+    """A loop at a glance. Raises InvalidInput where the law is not one for the plant."""
+    stability = judge_stability(plant, given, timing)
+    if not stability.stable:
+        return Glance(stability)
+    law = running_law(given, plant, timing)
+    requirements = plant.machine.requirements
+    speed = max(top_speed(plant.machine), plant.point.speed)
+    highest = max(SENSITIVITY_RANGE.limits[0].value, SPEED_RANGE_FACTOR * speed)
+    if law.dt is not None:
+        highest = min(highest, np.pi / law.dt)
+    closed = closed_loop(plant, law)
+    poles = modes(closed, plant.ports, plant.system).poles
+    response = loop_evaluator(plant, law)(frequency_grid(poles, _LOWEST, highest, _PER_DECADE))
+    curve = sensitivity_curve(response, requirements)
+    largest = replace(curve, y=curve.y.max(axis=0)[None], labels=(LARGEST,))
+    answer = pulse_response(closed, plant, longest=0.0)
+    _, (moved, _) = pulse_checks(answer, plant, requirements)
+    most = int(np.abs(moved.y).max(axis=1).argmax())
+    # one name at every point, whichever axis it is, so that all stand in one picture
+    one = replace(moved, y=moved.y[most][None], labels=(MOST,))
+    together = float(largest_gain(response.output_sensitivity()).max())
+    checks = tuple(
+        judge(name, title, value, "-", demand(rule, requirements))
+        for name, title, value, rule in (
+            ("axis", LARGEST, float(largest.y.max()), "sensitivity of an axis"),
+            ("max", ALL_AXES, together, "maximum singular value of a sensitivity"),
+        )
+    )
+    loops = opened_loops(response, "output")
+    return Glance(stability, largest, response.omega, loops, one, checks)
+
 
 _MOST = 4  # controllers that are compared
 _SLIDERS = "the sliders"
@@ -68,7 +160,7 @@ def _turned(machine: Machine, given: Mapping[str, Any]) -> PidSettings:
     return with_numbers(settings, values_of(settings, given))
 
 
-def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
+def show_controllers(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     """Sliders, curves, what to compare, what to design."""
     machine, plants = _bench(project)
     settings = _settings(machine)
@@ -275,7 +367,9 @@ def _save(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     machine, result = _synthesis(project, given)
     write_controller(path, result, machine)
     told = f"controllers/{path.name} is written: {result.verdict}."
-    return {**show(project, given), "told": told}
+    return {**show_controllers(project, given), "told": told}
 
 
-SCREEN = Screen(show, {"look": _look, "judge": _judge, "campbell": _campbell, "save": _save})
+SCREEN_CONTROLLERS = Screen(
+    show_controllers, {"look": _look, "judge": _judge, "campbell": _campbell, "save": _save}
+)

@@ -8,27 +8,35 @@ fingerprint of the text that was read: an edit of a text that has changed since 
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
-from ambrose.annexes.workbench import beginning, blocks
-from ambrose.annexes.workbench.blocks import Block, Refusal
-from ambrose.annexes.workbench.given import texts, width, word
+import tomlkit
+
+from ambrose.annexes.workbench import blocks
+from ambrose.annexes.workbench import blocks as pages
+from ambrose.annexes.workbench import project as beginning
+from ambrose.annexes.workbench.blocks import Block, Refusal, texts, width, word
 from ambrose.annexes.workbench.project import MACHINE, Project
 from ambrose.annexes.workbench.screens import Answer, Screen
+from ambrose.annexes.workbench.svg import svg
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.file.fields import beside, fields_of, tables_of, with_fields
-from ambrose.machine.file.toml import loads_machine, read_machine_text
-from ambrose.machine.limits import TOML_BYTES
+from ambrose.machine.file.toml import load_machine, loads_machine, read_machine_text
+from ambrose.machine.file.update import beside, fields_of, tables_of, with_fields
 from ambrose.machine.machine import Machine
+from ambrose.machine.ordinary_file import TOML_BYTES, write_text
+from ambrose.record.files import read_record, write_record
+from ambrose.record.foreign import columns_in_words, read_columns, read_foreign, variables_in_words
 from ambrose.report.page import Cell
-from ambrose.report.svg import svg
+from ambrose.report.record import record_page
 
 _WIDEST = 1000  # [px] of the drawing
 _FIELDS = 4000  # of one form at most
 
 
-def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
+def show_machine(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     """The whole screen, or where there is no machine yet how to begin."""
     if not project.machine.is_file():
         return blocks.content(beginning.forms(project))
@@ -45,8 +53,8 @@ def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
 
 def _seen(machine: Machine, given: Mapping[str, Any]) -> list[Block]:
     """The drawing and what `check` says."""
-    from ambrose.chain.facts_in_words import rows_of
-    from ambrose.chain.plants import facts
+    from ambrose.chain.check import rows_of
+    from ambrose.chain.stages import facts
     from ambrose.report.figures.rotor_drawing import machine_drawing
 
     drawing = svg(
@@ -112,7 +120,7 @@ def _then(way: Callable[[Project, Mapping[str, Any]], str]) -> Answer:
 
     def action(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
         told = way(project, given)
-        return {**show(project, given), "told": told}
+        return {**show_machine(project, given), "told": told}
 
     return action
 
@@ -144,7 +152,7 @@ def _current(project: Project, given: Mapping[str, Any]) -> str:
 
 def _keep(project: Project, given: Mapping[str, Any], before: str, text: str) -> dict[str, Any]:
     """The text written, if it is a machine's. Raises Refusal with a sentence for each field."""
-    from ambrose.machine.atomic_write import write_text
+    from ambrose.machine.ordinary_file import write_text
 
     try:
         loads_machine(text, MACHINE)
@@ -152,10 +160,124 @@ def _keep(project: Project, given: Mapping[str, Any], before: str, text: str) ->
         raise Refusal(str(error), beside(error, text, MACHINE)) from None
     if text != before:
         write_text(project.machine, text, "machine file")
-    return {**show(project, given), "told": f"{MACHINE} is saved."}
+    return {**show_machine(project, given), "told": f"{MACHINE} is saved."}
 
 
 _WAYS = {"begin": beginning.bundled, "template": beginning.template, "take": beginning.take}
-SCREEN = Screen(
-    show, {"save": _save, "write": _write, **{name: _then(way) for name, way in _WAYS.items()}}
+SCREEN_MACHINE = Screen(
+    show_machine,
+    {"save": _save, "write": _write, **{name: _then(way) for name, way in _WAYS.items()}},
 )
+
+
+# Records: a file is dropped, its columns are mapped where they are another program's, and it is
+# seen and judged against the machine.
+
+
+OWN = (".h5", ".hdf5", ".csv")
+_LIVE = re.compile(r"live-(.+)-\d{8}-\d{6}(?:-\d+)?\.h5")
+_KINDS = {"y": "um", "e": "A", "u": "A", "i": "A"}  # of signals of an axis, and usual units
+_FIELDS_RECORDS = 500
+
+
+def show_records(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
+    """The files there are, and the one that is looked at."""
+    names = [name for name in project.names("records") if not name.endswith(".toml")]
+    chosen = word(given, "file")
+    if chosen not in names:
+        chosen = names[0] if names else ""
+    drop = blocks.field("drop", "Drop a record here, or choose a file", kind="file", to="records")
+    fields = [drop]
+    if names:
+        known = blocks.choice("file", "Record", names, chosen)
+        fields.append({**known, "action": "look"})
+    hint = "Records of the live rig stand here too. Other programs' files: MATLAB, TDMS, text, UFF."
+    found = [blocks.form("files", fields, title="Records", hint=hint)]
+    if chosen:
+        found += _looked(project, chosen, width(given))
+    return blocks.content(found)
+
+
+def run_fields(project: Project) -> list[Block]:
+    """The record of a run, the newest one at first, and the controller that ran."""
+    records = [name for name in project.names("records") if name.endswith(OWN)]
+    newest = project.newest("records", OWN)
+    controllers = project.names("controllers")
+    # the live rig writes the controller's name into the record's
+    ran = _LIVE.fullmatch(newest)
+    named = f"{ran[1]}.json" if ran else ""
+    known = named if named in controllers else "pid.json"
+    return [
+        blocks.choice("record", "Record", records, newest),
+        blocks.choice("controller", "Controller that ran", controllers, known),
+    ]
+
+
+def _looked(project: Project, name: str, wide: int) -> list[Block]:
+    """A record with its verdicts and pictures, or what is wrong with it."""
+    path = project.path("records", name)
+    machine = load_machine(project.machine)
+    if path.suffix.lower() not in OWN:
+        return [_mapping(path, machine)]
+    try:
+        record = read_record(path)
+        page = record_page(record, machine)
+    except InvalidInput as error:
+        said = str(error).replace(f"{path.parent}/", "")
+        refused = blocks.words("refused", said, f"{name} is no record of this machine", "bad")
+        return [refused, *([_mapping(path, machine)] if path.suffix == ".csv" else [])]
+    report = f"reports/{path.stem}.html"
+    same = blocks.same(
+        f"ambrose identify {MACHINE} records/{name} --controller controllers/pid.json",
+        "from ambrose.report.page import page_of, write",
+        f'machine = amb.load_machine("{MACHINE}")',
+        f'record = amb.read_record("records/{name}")',
+        f'write(page_of(record, machine), "{report}")',
+    )
+    return [*pages.blocks_of(page, wide), same]
+
+
+def _mapping(path: Path, machine: Machine) -> Block:
+    """Which variable of the file is which signal; what is left empty is left out."""
+    fields = [
+        blocks.field("rate", "Sample rate [Hz], where the file has none"),
+        blocks.field("time", "Variable of the times, where there is one"),
+        blocks.field("time.unit", "Unit of the times", "s"),
+        blocks.field("speed", "Speed", "0 rpm"),
+        blocks.field("pressure", "Seal pressure", "0 bar"),
+    ]
+    for kind, unit in _KINDS.items():
+        for axis in machine.axes:
+            name = f"{kind}_{axis}"
+            fields.append(blocks.field(f"from.{name}", f"{name} is"))
+            fields.append(blocks.field(f"unit.{name}", f"Unit of {name}", unit))
+    return blocks.form(
+        "mapping",
+        [*fields, blocks.field("source", "File", path.name)],
+        [blocks.button("Read it", "map", main=True)],
+        f"{path.name}: which column is what",
+        hint=f"{variables_in_words(path)} A factor may stand before the name, such as -2 * probe.",
+    )
+
+
+def _map(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
+    """The column map beside the file, and the record that it gives."""
+    path = project.path("records", given.get("source"))
+    said = {key: text.strip() for key, text in texts(given, _FIELDS_RECORDS).items()}
+    machine = load_machine(project.machine)
+    names = [f"{kind}_{axis}" for kind in _KINDS for axis in machine.axes]
+    try:
+        document = columns_in_words(machine.name, names, said)
+        columns = read_columns(document, "the columns")
+        record = read_foreign(path, columns)
+    except InvalidInput as error:
+        raise Refusal(str(error).replace(f"{path.parent}/", "")) from None
+    target = project.free("records", path.stem)
+    kept = project.free("records", f"{target.stem}-columns", ".toml")
+    write_text(kept, tomlkit.dumps(document), "column map")
+    write_record(record, target)
+    told = f"records/{target.name} and records/{kept.name} are written."
+    return {**show_records(project, {**given, "file": target.name}), "told": told}
+
+
+SCREEN_RECORDS = Screen(show_records, {"look": show_records, "map": _map})

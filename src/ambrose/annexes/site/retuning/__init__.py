@@ -1,1 +1,0 @@
-"""Retuning on site: from a record of the running machine to the change that is signed."""

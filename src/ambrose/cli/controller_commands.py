@@ -1,0 +1,807 @@
+"""`ambrose export`."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ambrose.cli.options import chosen_from, groups_from, options_from
+from ambrose.code.targets import TARGETS
+from ambrose.synthesis.methods import methods
+from ambrose.terminal import (
+    ALL,
+    AS_JSON,
+    DELAY,
+    MACHINE,
+    RATE,
+    GroupedCommand,
+    claim,
+    kept,
+    kept_page,
+    load,
+    load_controller,
+    print_checks,
+    print_table,
+    progress_shown,
+    quantity_given,
+    say,
+    say_json,
+    shown,
+)
+
+# `ambrose synthesize`.
+
+
+METHODS = methods()
+_METHOD_OPTION = "--method"
+# of the controller, or of the loop as it runs
+_OF_ALL = ("fastest_pole", "bending_modes", "ratio_", "guard_", "direct_gain_mismatch")
+_APART = 1.5  # times: continuous and sampled peaks that differ by more are explained
+
+
+@click.command(
+    cls=GroupedCommand,
+    groups={
+        "": ("method", "point", "output"),
+        **groups_from(METHODS, "With every method", _METHOD_OPTION),
+        "A synchronous block": (
+            "synchronous",
+            "synchronous_band",
+            "synchronous_time",
+            "synchronous_update",
+            "base",
+        ),
+    },
+)
+@MACHINE
+@click.option(_METHOD_OPTION, type=click.Choice(list(METHODS)), default="tuned", show_default=True)
+@click.option(
+    "--point",
+    default=None,
+    help="Label of an operating point, or its beginning; default: the design point.",
+)
+@options_from(METHODS)
+@click.option(
+    "--synchronous",
+    type=click.Choice(["current-free", "force-free", "vibration-free", "damping"]),
+    default=None,
+    help="Design a block as well that rejects the unbalance's signal, and write it into the "
+    "controller file.",
+)
+@click.option(
+    "--synchronous-band",
+    type=float,
+    nargs=2,
+    default=None,
+    help="With --synchronous: lowest and highest speed of the block in rad/s; default: a tenth of "
+    "the top speed to it; damping has none, give the speeds around the critical one.",
+)
+@click.option(
+    "--synchronous-time",
+    type=float,
+    default=None,
+    help="With --synchronous: time constant of the block in seconds; default: as short as the "
+    "loop allows.",
+)
+@click.option(
+    "--synchronous-update",
+    type=click.Choice(["sample", "turn"]),
+    default=None,
+    help="With --synchronous: when the block's amplitudes move; default: every sample.",
+)
+@click.option(
+    "--base",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="With --synchronous: the controller file to add the block to, in place of a new design.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    default=Path("controller.json"),
+    show_default=True,
+)
+@click.option(
+    "--machine-file",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="With --structure pid or filters: write the machine with the filters found as its "
+    "[controller].",
+)
+@AS_JSON
+def synthesize(
+    machine: str,
+    method: str,
+    point: str | None,
+    synchronous: str | None,
+    synchronous_band: tuple[float, float] | None,
+    synchronous_time: float | None,
+    synchronous_update: str | None,
+    base: Path | None,
+    output: Path,
+    machine_file: Path | None,
+    as_json: bool,
+    **asked: Any,
+) -> None:
+    """Design a controller on the reduced plant and certify it on the full one.
+
+    With --method tuned, the default, for the whole envelope: all operating points and the
+    tolerances around each; the other methods design for one operating point (--point), lpv for a
+    range of speeds, of seal pressures or both. Exit status 1: an operating point of the machine is
+    not held (with --point: that one), or what was designed for is not met.
+    """
+    from ambrose.core.checks import invalid
+    from ambrose.judge.controller_file import write_controller
+    from ambrose.judge.plants import plant_at
+    from ambrose.judge.result import Status
+    from ambrose.law.pid import filter_rows
+    from ambrose.machine.file.update import save_machine
+    from ambrose.synthesis.design import another_point, design
+    from ambrose.synthesis.synchronous_design import check_request, design_synchronous, in_words
+
+    chosen = chosen_from(METHODS, method, asked, _METHOD_OPTION)
+    description = load(machine)
+    on_machine = chosen.on(description)  # refuses before the design, which takes a while
+    more = {
+        "--synchronous-band": synchronous_band,
+        "--synchronous-time": synchronous_time,
+        "--synchronous-update": synchronous_update,
+        "--base": base,
+    }
+    check_request(synchronous, method, more, description, "--synchronous")
+    if machine_file is not None and getattr(chosen, "structure", None) not in {"pid", "filters"}:
+        raise invalid(
+            "--machine-file",
+            str(machine_file),
+            "given with a filter bank",
+            "add --method tuned --structure pid",
+        )
+    claim(controller_file=output, machine_file=machine_file)
+    # a peak names the point it is of: the worst one, which verify finds, is another
+    where = ""
+    with progress_shown(as_json) as progress:
+        if base is None:
+            progress("assembling the plant")
+            plant = plant_at(description, point)
+            where = f" at {plant.point.label or 'the design point'}"
+            progress(f"designing ({method})")
+            result = design(plant, chosen, progress=progress)
+            if result.method == "hinf" and point is None and result.lost:
+                progress("looking for a point whose design holds all")
+                result = replace(result, notes=(*result.notes, another_point(plant, chosen)))
+        else:
+            result = load_controller(base, description)
+            method = result.method
+        block = None
+        if synchronous is not None:
+            block = design_synchronous(
+                description,
+                result,
+                synchronous,
+                band=synchronous_band,
+                time_constant=synchronous_time,
+                update=synchronous_update or "sample",
+                rate=getattr(chosen, "rate", None),
+                delay_samples=getattr(chosen, "delay_samples", None),
+                progress=progress,
+            )
+            result = replace(result, synchronous=block.blocks)
+    failure = kept(lambda path: write_controller(path, result), output)
+    if machine_file is not None and result.filters is not None:
+        timing = on_machine.timing()
+        settings = result.filters
+        # without its timing in the file, the loop read back would be judged as a continuous one
+        if timing is not None:
+            settings = replace(
+                settings,
+                sample_rate=None,
+                sample_time=timing.sample_time,
+                delay=timing.delay_samples * timing.sample_time,
+            )
+        # reasons of [machine.assumed] that still hold: the other ones of [controller] speak of the
+        # settings that the filters replace
+        stays = {"controller.sample_time", "controller.delay"}
+        reasons = tuple(
+            row
+            for row in description.assumed
+            if row[0] in stays or row[0].partition(".")[0] != "controller"
+        )
+        with_filters = replace(description, controller=settings, assumed=reasons)
+        failure = kept(lambda path: save_machine(with_filters, path), machine_file) or failure
+    certificate = result.certificate.to_dict()
+    factor = None if result.weights is None else result.weights.control_factor
+    if as_json:
+        summary = {
+            "controller": str(output),
+            "method": method,
+            "status": result.status,
+            "stopped_early": result.stopped_early,
+            "states": result.controller.n_states,
+            "control_weight_factor": factor,
+            "notes": result.notes,
+            "certificate": certificate,
+            "filters": None if result.filters is None else result.filters.to_dict(),
+        }
+        if block is not None:
+            summary["synchronous"] = block.to_dict()
+        say_json(summary)
+    else:
+        rows = [("states", f"{result.controller.n_states}")]
+        numbers = _numbers(certificate)
+        if method != "pid":  # which minimises nothing
+            numbers = {"gamma": result.gamma, **numbers}
+        rows += [
+            (name.replace("_", " ") + (where if name.endswith("_peak") else ""), shown(value))
+            for name, value in numbers.items()
+        ]
+        rows += [
+            (f"abscissa, {label}", shown(value)) for label, value in certificate["envelope"].items()
+        ]
+        if factor is not None:
+            rows.append(("control weight factor", shown(factor)))
+        rows += [("note", note) for note in (*result.notes, *_beside(numbers))]
+        early = "STOPPED EARLY: " if result.stopped_early else ""
+        print_table(
+            f"{method} controller, {early}{result.verdict}: {output}",
+            ("certificate", "value"),
+            rows,
+        )
+        if result.filters is not None and result.filters.channels:
+            print_table(
+                "filters, each channel in series",
+                ("channel", "filter", "parameters"),
+                filter_rows(result.filters),
+            )
+        if block is not None:
+            lines = [
+                ("time constant", f"{2 / block.gain:.4g} s"),
+                ("proved angle", f"{math.degrees(block.angle):.4g} deg"),
+            ]
+            lines += [
+                ("on", f"{low:.4g} to {high:.4g} rad/s")
+                for low, high in (item.band for item in block.blocks)
+            ]
+            lines += [("left out", in_words(item)) for item in block.forbidden]
+            lines += [("note", note) for note in block.notes]
+            print_table(f"synchronous block, {block.mode}", ("block", "value"), lines)
+    if failure is not None:
+        raise failure
+    # of one point that was asked for, the others are told only
+    holds = result.status is Status.VERIFIED and (point is not None or not result.lost)
+    missed = result.missed and not (point is not None and result.lost_elsewhere)
+    sys.exit(0 if holds and not missed else 1)
+
+
+def _beside(numbers: dict[str, Any]) -> list[str]:
+    """What the rows of the continuous loop are, where they stand beside those of the loop that
+    runs.
+    """
+    without = numbers.get("continuous sensitivity_peak")
+    as_run = numbers.get("sampled_sensitivity_peak")
+    if without is None or as_run is None:
+        return []
+    words = "continuous: the law without its sampling, hold and delay, which no loop runs"
+    apart = max(without / as_run, as_run / without)
+    if apart > _APART:
+        words += (
+            f"; its sensitivity peak is {apart:.3g} times off that of the sampled loop: at some "
+            "mode the delay decides the damping, so that another rate or delay needs its own design"
+        )
+    return [words]
+
+
+def _numbers(certificate: dict[str, Any]) -> dict[str, Any]:
+    """The rows of the table: where the loop runs sampled its own margins come first, and those of
+    the continuous loop, named so, only where the sampled one is stable. The controller file keeps
+    all.
+    """
+    margins, separate = certificate["margins"], {"margins", "envelope"}
+    numbers = {name: value for name, value in certificate.items() if name not in separate}
+    as_run = {name: value for name, value in margins.items() if name.startswith("sampled_")}
+    if not as_run:
+        return numbers | margins
+    leading = {name: numbers.pop(name) for name in ("stable", "plant")} | as_run
+    if not certificate["stable"]:
+        return leading
+    others = numbers | {name: value for name, value in margins.items() if name not in as_run}
+    of_full_plant = {"full_spectral_abscissa", "full_sensitivity_peak"}
+    return leading | {
+        name if name.startswith(_OF_ALL) else f"continuous {name}": value
+        for name, value in others.items()
+        if name not in of_full_plant
+    }
+
+
+# `ambrose trade-off`.
+
+
+_OVER = (
+    "settling_time",
+    "unbalance_orbit",
+    "max_current",
+    "compliance_peak",
+    "control_gain",
+    "log_decrement",
+    "order",
+)
+
+
+@click.command("trade-off")
+@MACHINE
+@click.option(
+    "--over",
+    type=click.Choice(_OVER),
+    required=True,
+    help="A key of [requirements], or the controller's order.",
+)
+@click.option(
+    "--values", required=True, help='Two or more, separated by commas: "20 ms, 30 ms, 60 ms".'
+)
+@click.option(
+    "--order", type=int, default=None, help="States of the controllers; default: three per axis."
+)
+@click.option(
+    "--structure", type=click.Choice(["free", "plane", "axis"]), default="free", show_default=True
+)
+@RATE
+@DELAY
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="Write the curve as a page (*.html).",
+)
+@AS_JSON
+def trade_off(
+    machine: str,
+    over: str,
+    values: str,
+    order: int | None,
+    structure: str,
+    rate_hz: float | None,
+    delay_samples: int | None,
+    output: Path | None,
+    as_json: bool,
+) -> None:
+    """What a requirement costs: the lowest sensitivity that a tuned controller reaches at each of
+    its values.
+    """
+    from ambrose.machine.ordinary_file import write_text
+    from ambrose.synthesis.methods import Tuned
+    from ambrose.synthesis.trade_off import read_value
+    from ambrose.synthesis.trade_off import trade_off as traded
+
+    description = load(machine)
+    wanted = [read_value(over, text.strip()) for text in values.split(",") if text.strip()]
+    method = Tuned(rate=rate_hz, delay_samples=delay_samples, order=order, structure=structure)
+    claim(page=output)
+    with progress_shown(as_json) as progress:
+        result = traded(description, over, wanted, method, progress=progress)
+    failure = None
+    if output is not None:
+        from ambrose.report.plot import plot
+
+        text = plot(result).to_html(
+            include_plotlyjs=True, config={"responsive": True, "displayModeBar": False}
+        )
+        failure = kept(lambda path: write_text(path, text, "page"), output)
+    if as_json:
+        rows = zip(result.values, result.sensitivity, result.met, result.binding, strict=True)
+        keys = ("value", "sensitivity", "met", "binding")
+        say_json(
+            {
+                "over": over,
+                "unit": result.unit,
+                "rows": [dict(zip(keys, row, strict=True)) for row in rows],
+            }
+        )
+    else:
+        heading = over if result.unit == "-" else f"{over} [{result.unit}]"
+        print_table(
+            f"lowest sensitivity against {over}",
+            (heading, "sensitivity", "all else met", "what binds"),
+            [
+                (f"{v:.4g}", f"{s:.3g}", "yes" if m else "no", b)
+                for v, s, m, b in zip(
+                    result.values, result.sensitivity, result.met, result.binding, strict=True
+                )
+            ],
+        )
+    if failure is not None:
+        raise failure
+    sys.exit(0 if all(result.met) else 1)
+
+
+# `ambrose verify`.
+
+
+_GROUPS = {
+    "": ("path", "everywhere", "report", "everything"),
+    "The loop as it runs": ("rate_hz", "delay_samples"),
+    "Proofs while the machine moves": ("pressure_rate", "pressure_error", "speed_rate"),
+    "Synchronous blocks": ("page",),
+}
+
+
+@click.command(cls=GroupedCommand, groups=_GROUPS)
+@MACHINE
+@click.option(
+    "--controller",
+    "path",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="A controller file (*.json).",
+)
+@click.option(
+    "--everywhere",
+    is_flag=True,
+    help="Bounds and proofs over the tolerances around every operating point, not the first alone.",
+)
+@RATE
+@DELAY
+@click.option(
+    "--pressure-rate",
+    metavar="RATE",
+    default=None,
+    help='Fastest change of the seal pressure, such as "20 bar/s", for a proof while it changes; '
+    "default: the machine file's.",
+)
+@click.option(
+    "--pressure-error",
+    metavar="PRESSURE",
+    default=None,
+    help='How far off what a controller scheduled over pressure is told may be, such as "0.4 '
+    'bar"; default: not at all.',
+)
+@click.option(
+    "--speed-rate",
+    type=float,
+    default=None,
+    help="Fastest run-up, rad/s^2, for a proof while the speed changes, over the tolerances as "
+    "well; default: none is tried.",
+)
+@click.option(
+    "--report",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="A page: verdicts, curves of all operating points, every check.",
+)
+@click.option(
+    "--page",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="A page of the synchronous blocks: current, force, orbit and margin over speed, before "
+    "and after.",
+)
+@ALL
+@AS_JSON
+def verify(
+    machine: str,
+    path: Path,
+    everywhere: bool,
+    rate_hz: float | None,
+    delay_samples: int | None,
+    pressure_rate: str | None,
+    pressure_error: str | None,
+    speed_rate: float | None,
+    report: Path | None,
+    page: Path | None,
+    everything: bool,
+    as_json: bool,
+) -> None:
+    """Check a controller on the full plant: at every operating point of the machine, and over all
+    tolerances around each.
+    """
+    from ambrose.core.checks import check_positive, invalid
+    from ambrose.judge.checks import Motion, moving_proofs, refuse_motion
+    from ambrose.judge.verdict import verify_controller
+
+    description = load(machine)
+    controller = load_controller(path, description)
+    fastest = quantity_given(pressure_rate, "--pressure-rate", "pressure per time")
+    error = quantity_given(pressure_error, "--pressure-error", "pressure")
+    if error and fastest is None and description.operation.pressure_rate is None:
+        raise invalid(
+            "--pressure-error",
+            pressure_error,
+            "given with --pressure-rate",
+            "say how fast the pressure changes",
+        )
+    if page is not None:
+        settings = description.controller
+        if not controller.synchronous and not (settings is not None and settings.synchronous):
+            remedy = "design one with ambrose synthesize --synchronous current-free"
+            raise invalid(
+                "--page", str(page), "given for a controller with a synchronous block", remedy
+            )
+    claim(page=page, report=report)
+    if speed_rate is not None:
+        check_positive(speed_rate, "--speed-rate", "give the fastest run-up in rad/s^2")
+    motion = Motion(fastest, error or 0.0, speed_rate)
+    refuse_motion(description, controller, motion)
+    with progress_shown(as_json) as progress:
+        result = verify_controller(
+            description,
+            controller,
+            everywhere=everywhere,
+            rate=rate_hz,
+            delay_samples=delay_samples,
+            pressure_rate=fastest,
+            pressure_error=error or 0.0,
+            speed_rate=speed_rate,
+            progress=progress,
+        )
+    failure = None
+    if page is not None:
+        from ambrose.report.page import write
+        from ambrose.report.verification import synchronous_page
+
+        blocks = synchronous_page(
+            description, result.synchronous, loop=result.timing, controller=result.controller
+        )
+        failure = kept(lambda path: write(blocks, path), page)
+    failure = kept_page(result, report, description, called="report") or failure
+    if as_json:
+        say_json({"machine": description.name, **result.to_dict()})
+    else:
+        for _, checks in result.labelled:
+            print_checks(checks, everything)
+        say(f"The loop that was judged is {result.timing}.")
+        for words in result.over_speed:
+            say(f"Beyond the machine's own speed: {words}.")
+        for words in result.not_varied:
+            say(f"Not varied around {words}.")
+        for proof in moving_proofs() if not result.moving else ():
+            if (sentence := proof.unproved(description, motion)) is not None:
+                say(sentence)
+        failed = [label for label, checks in result.labelled if not checks.passed]
+        every = f"every check of all {len(result.labelled)} tables"
+        say(f"Failed: {'; '.join(failed)}." if failed else f"Passed: {every}.")
+        if result.left_out:
+            why = (
+                "the schedule does not cover them, in what it is scheduled over or in what it was "
+                "designed at"
+            )
+            say(f"Not judged, which does not pass: {'; '.join(result.left_out)}; {why}.")
+    if failure is not None:
+        raise failure
+    sys.exit(0 if result.passed else 1)
+
+
+# `ambrose map`.
+
+
+# those of judge/exploration.py, which is not imported for --help
+PARTS = ("poles", "campbell", "pulses", "unbalance")
+
+
+@click.command("map")
+@MACHINE
+@click.option(
+    "--controller",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="A controller file (*.json).",
+)
+@click.option(
+    "--what", type=click.Choice(PARTS), multiple=True, help="Only this (repeatable); default: all."
+)
+@click.option(
+    "--point", help="Label of an operating point, or its beginning; default: the design point."
+)
+@click.option(
+    "--pressure-bar",
+    nargs=2,
+    type=float,
+    default=None,
+    help="Poles over this range of the seal pressure.",
+)
+@click.option(
+    "--speed-rpm", nargs=2, type=float, default=None, help="Poles over this range of the speed."
+)
+@click.option("--bound", is_flag=True, help="An upper bound beside the worst unbalance found.")
+@RATE
+@DELAY
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="A page (*.html).")
+@AS_JSON
+def map_command(
+    machine: str,
+    controller: Path,
+    what: tuple[str, ...],
+    point: str | None,
+    pressure_bar: tuple[float, float] | None,
+    speed_rpm: tuple[float, float] | None,
+    bound: bool,
+    rate_hz: float | None,
+    delay_samples: int | None,
+    output: Path | None,
+    as_json: bool,
+) -> None:
+    """Map a loop over its range: poles over speed and pressure, Campbell, pulse and unbalance over
+    the tolerances.
+
+    Where stability ends over speed and pressure, beyond what the machine file asks for; how far all
+    members of the tolerances swing after a pulse; the worst orbit by unbalance over speed. Exit
+    status 1: not stable everywhere in the machine's own range.
+    """
+    from math import pi
+
+    from ambrose.judge.exploration import explore
+    from ambrose.report import theme as units
+    from ambrose.report.verification import exploration_page
+
+    description = load(machine)
+    law = load_controller(controller, description)
+    claim(page=output)
+    reach = {}
+    if pressure_bar is not None:
+        reach["pressure"] = (1e5 * pressure_bar[0], 1e5 * pressure_bar[1])
+    if speed_rpm is not None:
+        reach["speed"] = (pi / 30 * speed_rpm[0], pi / 30 * speed_rpm[1])
+    with progress_shown(as_json) as progress:
+        exploration = explore(
+            description,
+            law,
+            parts=what or PARTS,
+            point=point,
+            reach=reach,
+            bound=bound,
+            rate=rate_hz,
+            delay_samples=delay_samples,
+            progress=progress,
+        )
+        failure = kept_page(exploration, output, progress=progress)
+    if as_json:
+        say_json({**exploration.to_dict(), "page": str(output) if output else None})
+    else:
+        report = exploration_page(exploration)
+        rows = [(verdict.label, verdict.text) for verdict in report.verdicts]
+        for item in exploration.maps:
+            rows.append(
+                (
+                    f"largest real part over {item.over}",
+                    units.quantity(float(item.abscissa.max()), "1/s"),
+                )
+            )
+        if exploration.pulses is not None and exploration.pulses.stable.all():
+            rows.append(
+                (
+                    "settled after a pulse, worst member",
+                    units.quantity(float(exploration.pulses.settling().max()), "s"),
+                )
+            )
+        if exploration.unbalance is not None:
+            worst, at = (
+                float(exploration.unbalance.found.max()),
+                float(exploration.unbalance.speeds[exploration.unbalance.found.argmax()]),
+            )
+            rows.append(
+                (
+                    "worst orbit found, 0-p",
+                    f"{units.quantity(worst, 'm')} at {at * units.RPM:.4g} rpm",
+                )
+            )
+        title = f"{description.name}, {exploration.point.label or 'its design point'}"
+        print_table(title, ("what", "found"), [tuple(map(str, row)) for row in rows])
+        for note in exploration.notes:
+            say(f"note: {note}")
+        say(f"The loop is {exploration.timing}.")
+        if output is not None and failure is None:
+            say(f"Page: {output}")
+    if failure is not None:
+        raise failure
+    sys.exit(0 if exploration.stable else 1)
+
+
+_WORD = "--to"
+_GROUPS_EXPORT = {
+    "": ("target", "output", "machine", "axial", "replaces", "name", "arithmetic", "rate", "force"),
+    "Scheduled controllers": (
+        "speed_limit",
+        "speed_rate",
+        "pressure_limit",
+        "pressure_rate",
+        "fallback",
+        "pressure_error",
+        "stuck_after",
+    ),
+    "On its processor": ("try_on", "clock", "flash", "ram", "bare_metal"),
+    **groups_from(TARGETS, "With every target", _WORD),
+}
+
+
+@click.command(cls=GroupedCommand, groups=_GROUPS_EXPORT)
+@click.argument("controller", type=click.Path(path_type=Path))
+@click.option(
+    _WORD,
+    "target",
+    type=click.Choice(list(TARGETS)),
+    required=True,
+    help="What to write: C99, a MAT-file, FMUs (FMI 2.0 and 3.0) or structured text.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="Directory for the files.",
+)
+@click.option(
+    "--machine",
+    "machine",
+    default=None,
+    help="Default: the bundled machine that the controller was made for.",
+)
+@options_from(TARGETS)
+@click.option(
+    "--fallback",
+    type=click.Path(path_type=Path),
+    help="Fixed controller for when a schedule's pressure cannot be trusted.",
+)
+@click.option(
+    "--axial",
+    type=click.Path(path_type=Path),
+    help="The controller of machine.toml#axial: both as one unit of all axes (C, FMU).",
+)
+@click.option(
+    "--replaces",
+    type=click.Path(path_type=Path),
+    help="The controller that runs now: what changes in the tables of its code, and the way back.",
+)
+@AS_JSON
+def export(
+    controller: Path,
+    target: str,
+    output: Path,
+    machine: str | None,
+    fallback: Path | None,
+    replaces: Path | None,
+    axial: Path | None,
+    as_json: bool,
+    **asked: Any,
+) -> None:
+    """Sample a controller, verify its loop as it will run, and write it as code for the target.
+
+    A scheduled controller is written in floating point, verified at frozen speeds or pressures over
+    its range.
+    """
+    from ambrose.code.pipeline import export as write_for_target
+    from ambrose.judge.controller_file import read_controller
+
+    chosen = chosen_from(TARGETS, target, asked, _WORD)
+    other = None if fallback is None else read_controller(fallback)
+    file, known = read_controller(controller), None if machine is None else load(machine)
+    running = None if replaces is None else read_controller(replaces)
+    with progress_shown(as_json) as progress:
+        delivery = write_for_target(
+            file,
+            output,
+            to=chosen,
+            machine=known,
+            fallback=other,
+            replaces=running,
+            axial=None if axial is None else read_controller(axial),
+            progress=progress,
+        )
+    content = delivery.to_dict()
+    if as_json:
+        say_json(content)
+    else:
+        for problem in content["problems"]:
+            say(f"forced although {problem}", err=True)
+        for limit in content["unmet_limits"]:
+            say(f"the loop as it runs misses a limit: {limit}", err=True)
+        if delivery.not_alike:
+            say(f"no parameters.json: {delivery.not_alike}", err=True)
+        if delivery.trial is not None:
+            say(f"{delivery.trial.processor.name}: {delivery.trial.text}", err=True)
+        for path in content["files"]:
+            say(path)
+    sys.exit(0 if content["verified"] and not content["unmet_limits"] else 1)

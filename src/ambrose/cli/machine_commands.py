@@ -1,0 +1,572 @@
+"""`ambrose convert`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from ambrose.terminal import (
+    AS_JSON,
+    MACHINE,
+    claim,
+    load,
+    print_table,
+    progress_shown,
+    say,
+    say_json,
+)
+
+if TYPE_CHECKING:
+    from ambrose.judge.result import Synthesis
+
+
+# `ambrose machines` and `ambrose check`.
+
+
+@click.command()
+@AS_JSON
+def machines(as_json: bool) -> None:
+    """List the bundled machines."""
+    from ambrose.machine.file.toml import bundled_machines, load_machine
+
+    descriptions = {name: load_machine(name).description for name in bundled_machines()}
+    if as_json:
+        say_json(descriptions)
+        return
+    print_table("Bundled machines", ("name", "what it is"), list(descriptions.items()))
+
+
+@click.command()
+@click.argument("name", required=False)
+@AS_JSON
+def scenarios(name: str | None, as_json: bool) -> None:
+    """List the bundled scenarios, or print the file of the one called NAME, to copy and change."""
+    from ambrose.rig.scenario import bundled_scenarios, scenario_text
+
+    known = bundled_scenarios()
+    if name is not None:
+        text = scenario_text(name)
+        if as_json:
+            say_json({"name": name, "text": text})
+        else:
+            for line in text.splitlines():
+                say(line)
+        return
+    if as_json:
+        say_json(known)
+    else:
+        print_table("Bundled scenarios", ("name", "what is done"), list(known.items()))
+
+
+@click.command()
+@MACHINE
+@AS_JSON
+def check(machine: str, as_json: bool) -> None:
+    """Validate a machine file, and say what it can do: mass, magnets against weight, bending,
+    poles, critical speeds.
+
+    What is implausible (a length without its unit, a magnet that cannot lift, a gain below k_s/k_i)
+    is said with its remedy, and the exit status is 1.
+    """
+    from ambrose.chain.check import rows_of
+    from ambrose.chain.stages import facts
+
+    known = facts(load(machine, magnets=False), machine)
+    if as_json:
+        say_json(known)
+    else:
+        title = ": ".join(text for text in (known["machine"], known["description"]) if text)
+        print_table(title, ("quantity", "value"), rows_of(known))
+        for doubt in known["doubts"]:
+            say(f"implausible: {doubt}")
+        for remark in known["remarks"]:
+            say(f"note: {remark}")
+    sys.exit(1 if known["doubts"] else 0)
+
+
+# `ambrose new`.
+
+
+_SHAFT = ("length", "diameter", "speed")
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--length", help='Of the shaft, such as "600 mm".')
+@click.option("--diameter", help='Of the shaft, such as "40 mm".')
+@click.option("--speed", help='The highest, such as "12000 rpm"; 0 for a rotor that does not turn.')
+@click.option(
+    "--disc",
+    "discs",
+    multiple=True,
+    metavar="POSITION,MASS,DIAMETER",
+    help='Such as "300 mm, 8 kg, 250 mm"; any number of times.',
+)
+@click.option(
+    "--bearings",
+    help='Positions from the left end, such as "75 mm, 525 mm"; default: two, near the ends.',
+)
+@click.option(
+    "--vertical",
+    is_flag=True,
+    help="The rotor stands; default: it lies, and its weight loads the bearings.",
+)
+@click.option(
+    "--load",
+    help='Force that a bearing must reach, such as "400 N"; default: three times its share of the '
+    "weight.",
+)
+@click.option("--gap", help="Radial gap of the magnets; default: by the shaft's diameter.")
+@click.option("--bias-current", help='Of the magnets, such as "3 A"; default: by their force.')
+@click.option(
+    "--force-per-current",
+    help='k_i, such as "180 N/A"; default: by the geometry of a magnet of that force.',
+)
+@click.option("--negative-stiffness", help='k_s, such as "0.7 N/um"; default: by the geometry.')
+@click.option(
+    "--rate-hz",
+    type=float,
+    help="Sample rate of the controller; default: 10000, or more for fast rotors.",
+)
+@click.option("--name", help="What the machine is called; default: the file's name.")
+@click.option("--force", is_flag=True, help="Replace a file that exists.")
+@AS_JSON
+def new(file: Path, force: bool, as_json: bool, **answers: Any) -> None:
+    """Write a machine file to start from: what is not given is asked for on a terminal, or chosen
+    so that the rotor levitates.
+
+    Every number has its unit and a comment; what was chosen is marked as assumed, with the reason.
+    Then: ambrose check FILE.
+    """
+    from ambrose.chain.new_machine import NOT_HELD, new_machine
+    from ambrose.core.checks import InvalidInput, invalid
+    from ambrose.machine.file.update import save_machine
+
+    if file.suffix.lower() != ".toml":
+        raise invalid(
+            "the machine file", f'"{file}"', "a file *.toml", f'write "{file.with_suffix(".toml")}"'
+        )
+    if file.exists() and not force:
+        raise InvalidInput(
+            f"{file} exists already; choose another name, or replace it with --force"
+        )
+    claim(machine_file=file)
+    missing = [key for key in _SHAFT if answers[key] is None]
+    if (missing and as_json) or (missing and not (sys.stdin.isatty() and sys.stderr.isatty())):
+        options = ", ".join(f"--{key}" for key in missing)
+        raise InvalidInput(
+            f"{options} missing, and there is no terminal to ask on; give them, such as "
+            f"--{missing[0]} {_EXAMPLES[missing[0]]}"
+        )
+    if missing:
+        answers = _asked(answers)
+    rate = answers.pop("rate_hz")
+    discs = answers.pop("discs")
+    bearings = answers.pop("bearings")
+    machine = new_machine(
+        name=answers.pop("name") or file.stem.strip() or "my machine",
+        discs=[_split(disc, "--disc", "position, mass, diameter", 3) for disc in discs],
+        bearings=_split(bearings, "--bearings", "positions", None) if bearings else (),
+        rate=rate,
+        **{key: _united(key, value) for key, value in answers.items()},
+    )
+    save_machine(machine, file)
+    reasons = dict(machine.assumed)
+    holds_shaft = NOT_HELD not in reasons["controller"]
+    if as_json:
+        say_json(
+            {"machine": str(file), "axes": machine.axes, "held": holds_shaft, "assumed": reasons}
+        )
+        sys.exit(0 if holds_shaft else 1)
+    say(
+        f"{file}: {len(machine.bearings)} bearings of {machine.bearings[0].max_force:g} N; "
+        f"{reasons['controller']}"
+    )
+    say(
+        f"{len(reasons)} entries are assumed, each with its reason in the file; "
+        f"next: ambrose check {file}"
+    )
+    sys.exit(0 if holds_shaft else 1)
+
+
+_LISTS = ('"300 mm, 8 kg, 250 mm"', '"75 mm, 525 mm"')
+_EXAMPLES = {"length": '"600 mm"', "diameter": '"40 mm"', "speed": '"12000 rpm"'}
+_QUESTIONS = (
+    ("length", "Length of the shaft", "600 mm"),
+    ("diameter", "Diameter of the shaft", "40 mm"),
+    ("speed", "Highest speed", "12000 rpm"),
+)
+
+
+def _asked(given: dict[str, Any]) -> dict[str, Any]:
+    """What is given and what the user answers; a wrong answer is asked again."""
+
+    def ask(text: str, default: str, read: Callable[[str], Any]) -> str:
+        def checked(answer: str) -> str:
+            try:
+                read(answer.strip())
+            except ValueError as error:  # every refusal is one
+                raise click.BadParameter(str(error)) from None
+            return answer.strip()
+
+        return str(click.prompt(text, default=default, value_proc=checked, err=True))
+
+    answers = dict(given)
+    for key, text, example in _QUESTIONS:
+        if given[key] is None:
+            answers[key] = ask(text, example, partial(_checked, key))
+    discs = list(given["discs"])
+    while not given["discs"]:
+        wanted = "Disc: position, mass, diameter (empty: no more)"
+        answer = ask(
+            wanted,
+            "",
+            lambda answer: answer and _split(answer, "disc", "position, mass, diameter", 3),
+        )
+        if not answer:
+            break
+        discs.append(answer)
+    if not given["vertical"]:
+        answers["vertical"] = click.confirm("Does the rotor stand upright", default=False, err=True)
+    return {**answers, "discs": discs}
+
+
+def _checked(key: str, answer: str) -> None:
+    from ambrose.chain.new_machine import quantity_of
+
+    quantity_of(key, _united(key, answer))
+
+
+def _split(text: str, what: str, parts: str, count: int | None) -> list[str]:
+    from ambrose.core.checks import invalid
+
+    values = [_united(what, part.strip()) for part in text.split(",")]
+    if (count is not None and len(values) != count) or not all(values):
+        raise invalid(
+            what, f'"{text}"', f"{parts}, separated by commas", f"such as {_LISTS[count is None]}"
+        )
+    return values
+
+
+def _united(key: str, value: Any) -> Any:
+    """A text with a unit; a bare number is refused, as nobody can tell metres from millimetres. 0
+    needs none.
+    """
+    from ambrose.core.checks import InvalidInput
+
+    if not isinstance(value, str):
+        return value
+    try:
+        number = float(value)
+    except ValueError:
+        return value
+    if number == 0:
+        return 0.0
+    raise InvalidInput(
+        f'{key} is "{value}" without a unit; write it with one, such as '
+        f"{_EXAMPLES.get(key, _EXAMPLES['length'])}"
+    )
+
+
+# `ambrose convert controller`.
+
+
+# core/sampling.py, which is not imported for --help
+METHODS = ("tustin", "zoh", "backward-euler", "matched")
+
+
+@click.command()
+@click.argument("source", type=click.Path(path_type=Path))
+@click.option(
+    "--machine", help="The machine that it is for: axes, signs and units are tried on its loop."
+)
+@click.option(
+    "--axes",
+    help='Names of its channels in their order, such as "A_zeta,A_eta"; default: its own, else '
+    "the machine's.",
+)
+@click.option(
+    "--input",
+    "given",
+    type=click.Choice(["error", "displacement"]),
+    help="What it takes: the error r - y (default), or the displacement y, whose sign is then "
+    "turned.",
+)
+@click.option(
+    "--input-unit", help="Unit of what it takes, such as um; default: the file's, else m."
+)
+@click.option(
+    "--output-unit", help="Unit of its currents, such as mA; default: the file's, else A."
+)
+@click.option(
+    "--rate-hz",
+    type=float,
+    help="Rate of coefficients of z, where the file has none; with --sampling the new rate.",
+)
+@click.option(
+    "--delay-samples", type=int, help="From measured errors to currents set; default: the file's."
+)
+@click.option(
+    "--sampling",
+    type=click.Choice(METHODS),
+    help="Sample a continuous controller so, at --rate-hz.",
+)
+@click.option(
+    "--prewarp-hz",
+    type=float,
+    help="Tustin exact at this frequency; of matched: where the gain is that of before.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    default=Path("controller.json"),
+    show_default=True,
+)
+@AS_JSON
+def convert_controller(
+    source: Path, machine: str | None, output: Path, as_json: bool, **asked: Any
+) -> None:
+    """Write a controller of another program as a controller file, for verify, simulate, identify
+    and export.
+
+    SOURCE holds difference equations (b, a), second-order sections, or zeros, poles and gain per
+    channel (*.csv, *.json, *.mat), transfer-function or state-space matrices (*.json, *.mat), or is
+    a controller file. With --machine the loop is closed around the full plant at every operating
+    point: exit status 1 where it is unstable, with the sign or unit that would hold it.
+    """
+    write_imported(source, machine, output, as_json, **asked)
+
+
+def write_imported(
+    source: Path,
+    machine: str | None,
+    output: Path,
+    as_json: bool,
+    *,
+    sampling: str | None = None,
+    prewarp_hz: float | None = None,
+    given: str | None = None,
+    rate_hz: float | None = None,
+    axes: str | None = None,
+    **stated: Any,
+) -> None:
+    """What the command does; also `ambrose convert SOURCE -o NAME.json`."""
+    from ambrose.code.sampled import instability
+    from ambrose.core.checks import InvalidInput
+    from ambrose.judge.controller_file import read_controller, write_controller
+    from ambrose.law.filter_table import FEEDBACK
+    from ambrose.synthesis.design import named_for, not_held, resampled
+
+    known = None if machine is None else load(machine)
+    claim(controller_file=output)
+    stated |= {"input": given, "axes": axes, "rate_hz": None if sampling else rate_hz}
+    if axes is None and known is not None:
+        stated["default_axes"] = known.axes
+    law = read_controller(source, **stated)
+    if sampling is not None:
+        law = resampled(law, rate_hz, sampling, prewarp_hz)
+    elif prewarp_hz is not None:
+        raise InvalidInput(
+            "--prewarp-hz goes with --sampling tustin or matched; name it, or leave it out"
+        )
+
+    def other() -> Synthesis:
+        assert known is not None
+        turned = read_controller(source, **stated, **{FEEDBACK: True})
+        return replace(turned, controller=named_for(known, turned.controller))
+
+    wrong, lost = instability(law.controller), list[str]()
+    if known is not None:
+        law = replace(law, controller=named_for(known, law.controller))
+        with progress_shown(as_json) as progress:
+            lost = not_held(known, law, progress, other if law.controller.dt else None)
+    write_controller(output, law, known)
+    kind = (
+        "continuous" if law.controller.dt is None else f"sampled at {1 / law.controller.dt:.6g} Hz"
+    )
+    verified = None if known is None else not lost
+    summary = {
+        "controller": str(output),
+        "inputs": law.controller.inputs,
+        "states": law.controller.n_states,
+        "kind": kind,
+        "held": verified,
+        "problems": [*wrong, *lost],
+    }
+    where = f"; it holds {known.name} at every operating point" if known and verified else ""
+    text = (
+        f"{output}: {law.controller.n_states} states, {kind}, from "
+        f"{', '.join(law.controller.inputs)}{where}"
+    )
+    if as_json:
+        say_json(summary)
+    else:
+        for line in (text, *lost):
+            say(line)
+    for problem in wrong:
+        say(f"careful: {problem}", err=True)
+    sys.exit(1 if verified is False else 0)
+
+
+@click.command()
+@click.argument("record", type=click.Path(path_type=Path))
+@click.option(
+    "--columns",
+    type=click.Path(path_type=Path),
+    help="Column map (*.toml), for files of other programs.",
+)
+@click.option(
+    "--speed",
+    help='Of a rotor model: the highest, such as "9000 rpm"; default: the model\'s, or standstill.',
+)
+@click.option(
+    "--bearings", help='Of a rotor model: places of its magnets, such as "75 mm, 525 mm".'
+)
+@click.option("--vertical", is_flag=True, help="Of a rotor model: it stands.")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), default=Path("record.h5"), show_default=True
+)
+@AS_JSON
+def convert(
+    record: Path,
+    columns: Path | None,
+    speed: str | None,
+    bearings: str | None,
+    vertical: bool,
+    output: Path,
+    as_json: bool,
+) -> None:
+    """Write what another program wrote as a file of this one, by the suffix of the output.
+
+    As a record (*.h5, *.csv): a record; with a column map a file of MATLAB (*.mat) or LabVIEW
+    (*.tdms), any HDF5 (*.h5), a universal file (*.uff or *.unv) or a text table of any separator
+    and decimal mark (*.csv, *.txt).
+
+    As a controller file (*.json): a controller of another program, as `ambrose convert controller`
+    does with its options.
+
+    As a machine file (*.toml): a rotor model of ROSS (*.toml, *.json) or a table of stations
+    (*.csv), on magnets chosen as `ambrose new` does; a machine file, or a bundled machine's name,
+    becomes a model of ROSS.
+    """
+    from ambrose.record.files import check_suffix, read_record, write_record
+    from ambrose.record.foreign import read_foreign
+
+    if output.suffix == ".json":
+        write_imported(record, None, output, as_json)
+    if output.suffix.lower() == ".toml":
+        _convert_machine(record, output, speed, bearings, vertical, as_json)
+        return
+    check_suffix(output)
+    claim(record=output)
+    result = read_record(record) if columns is None else read_foreign(record, columns)
+    write_record(result, output)
+    count, rate = result.values.shape[1], result.sample_rate_hz
+    summary = {
+        "record": str(output),
+        "signals": result.signals,
+        "samples": count,
+        "sample_rate_hz": rate,
+    }
+    signals = f"{', '.join(result.signals[:8])}{' ...' if len(result.signals) > 8 else ''}"
+    words = (
+        f"{output}: {count / rate:.6g} s at {rate:.6g} Hz, {len(result.signals)} signals "
+        f"({signals})"
+    )
+    say_json(summary) if as_json else say(words)
+
+
+def _convert_machine(
+    source: Path,
+    output: Path,
+    speed: str | None,
+    bearings: str | None,
+    vertical: bool,
+    as_json: bool,
+) -> None:
+    from ambrose.chain.check import springs
+    from ambrose.chain.new_machine import (
+        NOT_HELD,
+        Known,
+        machine_of_rotor,
+        quantities_of,
+        quantity_of,
+    )
+    from ambrose.core.checks import InvalidInput
+    from ambrose.machine.file.ross import off_nodes, ross_text
+    from ambrose.machine.file.stations import read_rotor
+    from ambrose.machine.file.toml import bundled_machines, load_machine, read_toml
+    from ambrose.machine.file.update import save_machine
+    from ambrose.machine.ordinary_file import write_text
+
+    own = (
+        source.suffix.lower() == ".toml"
+        and str(source) not in bundled_machines()
+        and "machine" in read_toml(source, "file")
+    )
+    if own or str(source) in bundled_machines():
+        machine = load_machine(source)
+        claim(rotor_model=output)
+        write_text(output, ross_text(machine, springs(machine)), "rotor model")
+        left = [*(seal.name for seal in machine.seals), *(part.name for part in machine.attached)]
+        left += [f"support of {item.bearing}" for item in machine.supports]
+        left += [f"{len(machine.casing_modes)} casing modes"] * bool(machine.casing_modes)
+        left += [f"{len(machine.bending_modes)} measured bending modes"] * bool(
+            machine.bending_modes
+        )
+        moved = off_nodes(machine)
+        summary: dict[str, object] = {
+            "rotor_model": str(output),
+            "left_out": left,
+            "moved_m": moved,
+        }
+        springy = "a model of ROSS, bearings as springs of the reference controller"
+        words = f"{output}: {springy}; left out: {', '.join(left) or 'nothing'}"
+        words += "".join(
+            f"; {name} moved by {1e6 * away:.3g} um to a node" for name, away in moved.items()
+        )
+    else:
+        if output.exists() and output.samefile(source):
+            raise InvalidInput(
+                f"{output} is what is read; give the machine file another name with -o"
+            )
+        if output.exists():
+            raise InvalidInput(
+                f"{output} exists already; choose another name with -o, or remove the machine "
+                "that stands there"
+            )
+        rotor = read_rotor(source)
+        claim(machine_file=output)
+        rotor = replace(
+            rotor,
+            speed=rotor.speed if speed is None else quantity_of("speed", speed),
+            bearings=rotor.bearings if bearings is None else quantities_of("bearings", bearings),
+        )
+        machine = machine_of_rotor(rotor, Known(vertical=vertical))
+        save_machine(machine, output)
+        reasons = dict(machine.assumed)
+        summary = {
+            "machine": str(output),
+            "axes": machine.axes,
+            "assumed": reasons,
+            "left_out": rotor.left_out,
+        }
+        counts = (
+            f"{len(machine.shaft)} sections, {len(machine.discs)} discs, {len(machine.bearings)} "
+            "bearings"
+        )
+        words = f"{output}: {counts}; {reasons['controller']}"
+        if rotor.left_out:
+            words += (
+                "; left out: "
+                f"{', '.join(rotor.left_out[:6])}{' ...' if len(rotor.left_out) > 6 else ''}"
+            )
+    say_json(summary) if as_json else say(words)
+    sys.exit(1 if NOT_HELD in words else 0)

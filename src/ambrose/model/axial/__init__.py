@@ -1,1 +1,0 @@
-"""The axis along the shaft: the lag of a thrust magnet's solid core."""

@@ -1,1 +1,0 @@
-"""Magnets from their geometry: a network of gaps, iron, coils and permanent magnets."""

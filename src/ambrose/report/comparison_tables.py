@@ -1,0 +1,875 @@
+"""Several controllers in tables: who passes where and why not, and the quantities that decide, side
+by side.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from ambrose.judge.checks import WITH_MEAN_DELAY, Check, Checks, box_label
+from ambrose.machine.description import OperatingPoint, Tolerance
+from ambrose.machine.machine import Machine
+from ambrose.report import theme as units
+from ambrose.report.page import Cell, Row, Section, Table, Verdict
+from ambrose.report.tables import RELATION, around, listed, place, reason, verdict
+from ambrose.rig.trial import Candidate, find
+
+# The decision about several controllers, and the map behind it: per controller and operating point
+# the requirement that comes nearest to its limit, or exceeds it most.
+#
+# A share is the ratio of a value to its limit (``Check.ratio``): up to 1 the requirement is met. A
+# second row of every operating point holds the worst over the tolerances around it.
+
+
+NOT_EVALUATED = "not evaluated"
+_MEETS, _FAILS = (0.6, 0.8, 1.0), (1.1, 1.5, 2.0)  # upper ends of the shades
+# panels of speed over pressure are drawn where this share of all pairs are operating points
+_GRID = 0.75
+# The first entry that the check's name begins with says what binds; "robust." and "sampled." are
+# cut off first.
+_SHORT = {
+    "sensitivity.output": "output sensitivity",
+    "sensitivity.input": "input sensitivity",
+    "sensitivity": "output sensitivity",
+    "compliance": "compliance",
+    "poles.log_decrement": "log decrement",
+    "margin.gain": "gain margin",
+    "margin.phase": "phase margin",
+    "unbalance.clearance": "orbit in the gap",
+    "unbalance.current_0p": "unbalance current",
+    "unbalance.force_0p": "unbalance force",
+    "unbalance": "unbalance orbit",
+    "impulse.settling": "settling",
+    "impulse.current_0p": "pulse current",
+    "impulse.force_0p": "pulse force",
+    "stability.margin": "stability margin",
+    "stability.speeds": "at other speeds",
+    "stability": "stability",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """check: what binds, the one that exceeds its limit most or comes nearest to it; None without
+    any that has a limit.
+
+    stable: whether the loop is, over the whole box where it is one.
+    """
+
+    check: Check | None
+    stable: bool = True
+
+    @property
+    def ratio(self) -> float:
+        """Of the value to its limit; infinite for an unstable loop, 0 without a limit."""
+        ratio = None if self.check is None else self.check.ratio
+        return math.inf if not self.stable else ratio or 0.0
+
+    @property
+    def passed(self) -> bool:
+        """Whether the loop is stable and meets every limit."""
+        return self.stable and (self.check is None or self.check.passed is not False)
+
+
+def share(checks: Checks) -> Share:
+    """What binds in these checks, at an operating point or over the tolerances around it."""
+    judged = [check for check in checks.checks if check.passed is not None]
+    worst = max(judged, key=lambda check: (not check.passed, check.ratio or 0.0), default=None)
+    if not checks.stable or checks.lost:
+        margin = find(checks, "robust.stability.margin")
+        named = margin if margin in checks.lost else next(iter(checks.lost), None)
+        return Share(named, False)
+    return Share(worst if worst is not None and (worst.ratio or not worst.passed) else None)
+
+
+def binding(check: Check) -> str:
+    """What binds, in two words: "output sensitivity"."""
+    name = check.name.removeprefix("robust.").removeprefix("sampled.")
+    return next(
+        (words for start, words in _SHORT.items() if name.startswith(start)),
+        units.prose(check.title),
+    )
+
+
+def ratio_text(ratio: float) -> str:
+    """Two decimals, and as many as it takes to tell it from 1."""
+    if not math.isfinite(ratio):
+        return units.number(ratio)
+    text = f"{ratio:.2f}" if ratio < 10 else units.number(ratio)
+    return units.pair(ratio, 1.0, "")[0] if text == "1.00" and ratio != 1.0 else text
+
+
+def nearest(candidates: Sequence[Candidate]) -> Candidate:
+    """The controller that meets everything with most to spare, or comes nearest to it."""
+    labels = _labels(candidates)
+    return min(candidates, key=lambda candidate: _distance(candidate, labels))
+
+
+def _labels(candidates: Sequence[Candidate]) -> tuple[str, ...]:
+    return tuple(
+        dict.fromkeys(checks.label for candidate in candidates for checks in candidate.checks)
+    )
+
+
+def decision(candidates: Sequence[Candidate]) -> Verdict:
+    """One sentence: which controller meets everything, or which comes nearest, and what binds
+    it.
+    """
+    labels, best = _labels(candidates), nearest(candidates)
+    good = [
+        candidate for candidate in candidates if candidate.passed and not _absent(candidate, labels)
+    ]
+    where, worst = _worst(best)
+    if best in good:
+        box = ", and over the tolerances around them," if best.boxes else ""
+        box += (
+            f" between them (found on grids of {listed([c.label for c in best.ranges])}),"
+            if best.ranges
+            else ""
+        )
+        count = (
+            f"all {len(best.checks)} operating points"
+            if len(best.checks) > 1
+            else "the operating point"
+        )
+        margin = (
+            f"; nearest to its limit: {_amount(worst)} {where}"
+            if worst.check is not None
+            else "; no limits were given"
+        )
+        others = [_quoted(candidate.name) for candidate in good if candidate is not best]
+        also = f"; also by {listed(others)}" if others else ""
+        return Verdict(
+            "",
+            True,
+            f"Every requirement is met at {count}{box} by {_quoted(best.name)}{margin}{also}.",
+        )
+    lost = [checks.label for checks in best.checks if not checks.stable]
+    if lost:
+        why = f"it is unstable at {listed(lost)}"
+    elif absent := _absent(best, labels):
+        why = f"it is {NOT_EVALUATED} at {listed(absent)}"
+        why += ", which its schedule does not cover" if set(absent) <= set(best.left_out) else ""
+    elif not worst.stable:
+        why = f"it becomes unstable {where}"
+    else:
+        why = f"{_amount(worst)} {where}"
+    return Verdict(
+        "",
+        False,
+        f"No controller meets every requirement; nearest comes {_quoted(best.name)}: {why}.",
+    )
+
+
+def _quoted(name: str) -> str:
+    """A name that would read as two of a list, "mu, polished", in quotes."""
+    return f'"{name}"' if "," in name or " and " in name else name
+
+
+def _absent(candidate: Candidate, labels: Sequence[str]) -> list[str]:
+    """The operating points at which it was not evaluated."""
+    return [
+        label
+        for label in dict.fromkeys((*labels, *candidate.left_out))
+        if candidate.at(label) is None
+    ]
+
+
+def _distance(candidate: Candidate, labels: Sequence[str]) -> tuple[int, int, float]:
+    """How far a controller is from meeting everything: points not held, boxes not held, the worst
+    ratio.
+    """
+    points, boxes = (
+        [share(checks) for checks in part]
+        for part in (candidate.checks, (*candidate.boxes, *candidate.ranges))
+    )
+    missing = len(_absent(candidate, labels)) + sum(not own.stable for own in points)
+    return missing, sum(not own.stable for own in boxes), _worst(candidate)[1].ratio
+
+
+def _worst(candidate: Candidate) -> tuple[str, Share]:
+    """Where and what binds of everything that was evaluated; an operating point goes before the box
+    around it.
+    """
+    known = [(f"at {checks.label}", share(checks)) for checks in candidate.checks]
+    known += [(f"over the tolerances {around(box)}", share(box)) for box in candidate.boxes]
+    known += [
+        (f"between the points of {checks.label}", share(checks)) for checks in candidate.ranges
+    ]
+    return max(known, key=lambda item: (not item[1].passed, item[1].ratio))
+
+
+def _amount(result: Share) -> str:
+    """ "output sensitivity 2.82 (limit 3, share 0.94)"."""
+    check = result.check
+    if check is None or check.limit is None:
+        return ""
+    value, limit = units.pair(check.value, check.limit, check.unit)
+    return f"{binding(check)} {value} (limit {limit}, share {ratio_text(result.ratio)})"
+
+
+def envelope_section(
+    machine: Machine, candidates: Sequence[Candidate], points: Sequence[str]
+) -> Section:
+    """The map: a panel of speed over pressure per controller where the operating points form a
+    grid, else one table.
+    """
+    known = {point.label: point for point in machine.operation.envelope}
+    left_out = [label for candidate in candidates for label in candidate.left_out]
+    places = sorted(
+        (known[label] for label in {*points, *left_out} if label in known),
+        key=lambda p: (p.speed, p.seal_pressure),
+    )
+    points = [place.label for place in places] + [
+        label for label in dict.fromkeys((*points, *left_out)) if label not in known
+    ]
+    grid = len(places) == len(points) and _is_grid(places)
+    panels = (
+        [_panel(candidate, places) for candidate in candidates]
+        if grid
+        else [_table(known, candidates, points)]
+    )
+    words = (
+        "For every operating point the requirement that comes nearest to its limit, and its share "
+        "of the limit: up to 1 it "
+    )
+    words += "is met."
+    if any(candidate.boxes for candidate in candidates):
+        words += (
+            " Each second row (±): the worst that was found over the tolerances around the point."
+        )
+    return Section("The envelope", words, (), (*panels, _legend()))
+
+
+def _is_grid(places: Sequence[OperatingPoint]) -> bool:
+    pairs = {(place.speed, place.seal_pressure) for place in places}
+    speeds, pressures = ({pair[i] for pair in pairs} for i in (0, 1))
+    fills = len(pairs) == len(places) >= _GRID * len(speeds) * len(pressures)
+    return fills and len(speeds) > 1 and len(pressures) > 1
+
+
+def _panel(candidate: Candidate, places: Sequence[OperatingPoint]) -> Table:
+    """One controller: speeds from left to right, pressures from the bottom up."""
+    speeds, pressures = (
+        sorted(set(values))
+        for values in zip(*((p.speed, p.seal_pressure) for p in places), strict=True)
+    )
+    at = {(place.speed, place.seal_pressure): place.label for place in places}
+    rows: list[Row] = []
+    for pressure in reversed(pressures):
+        labels = [at.get((speed, pressure)) for speed in speeds]
+        rows.append(
+            (units.quantity(pressure, "Pa"), *(_cell(candidate, label) for label in labels))
+        )
+        if candidate.boxes:
+            rows.append(
+                (Cell("± tolerances", "muted"), *(_box_cell(candidate, label) for label in labels))
+            )
+    columns = ("", *(_rpm(speed) for speed in speeds))
+    widths = (22, *[78 // len(speeds)] * len(speeds))
+    return Table(candidate.name, columns, tuple(rows), "", widths, (), True)
+
+
+def _table(
+    known: dict[str, OperatingPoint], candidates: Sequence[Candidate], points: Sequence[str]
+) -> Table:
+    """Rows are operating points, columns controllers."""
+    rows: list[Row] = []
+    for label in points:
+        place = known.get(label)
+        where = (
+            ""
+            if place is None
+            else f"{_rpm(place.speed)}, {units.quantity(place.seal_pressure, 'Pa')}"
+        )
+        rows.append(
+            (Cell(label, detail=where), *(_cell(candidate, label) for candidate in candidates))
+        )
+        boxes = [_box_cell(candidate, label) for candidate in candidates]
+        if any(
+            any(box.label == box_label(label) for box in candidate.boxes)
+            for candidate in candidates
+        ):
+            rows.append((Cell("± tolerances", "muted"), *boxes))
+    widths = (16, *[84 // len(candidates)] * len(candidates))
+    return Table(
+        "",
+        ("Operating point", *(candidate.name for candidate in candidates)),
+        tuple(rows),
+        "",
+        widths,
+        (),
+        True,
+    )
+
+
+def _cell(candidate: Candidate, label: str | None) -> Cell:
+    if label is None:
+        return Cell("")
+    checks = candidate.at(label)
+    if checks is None:
+        why = "not in its schedule" if label in candidate.left_out else ""
+        return Cell(NOT_EVALUATED, detail=why, shade="absent")
+    result = share(checks)
+    return _shaded(result, "" if checks.stable else "nominal loop")
+
+
+def _box_cell(candidate: Candidate, label: str | None) -> Cell:
+    box = next(
+        (box for box in candidate.boxes if label is not None and box.label == box_label(label)),
+        None,
+    )
+    if box is None:
+        return Cell("" if label is None else NOT_EVALUATED, shade="" if label is None else "absent")
+    result = share(box)
+    margin = (
+        result.check
+        if result.check is not None and result.check.name == "robust.stability.margin"
+        else None
+    )
+    return _shaded(
+        result, f"from {units.number(margin.value)} of them on" if margin is not None else ""
+    )
+
+
+def _shaded(result: Share, why: str) -> Cell:
+    if not result.stable:
+        return Cell(
+            "unstable",
+            "fail",
+            detail=why or (binding(result.check) if result.check is not None else ""),
+            shade="unstable",
+        )
+    if result.check is None:
+        return Cell("stable", "pass", detail="no limits", shade="free")
+    return Cell(
+        ratio_text(result.ratio),
+        "pass" if result.passed else "fail",
+        detail=binding(result.check),
+        shade=shade_of(result),
+    )
+
+
+def shade_of(result: Share) -> str:
+    """The shade of a stable loop: "meets-1" to "meets-3" up to the limit, "fails-1" to "fails-4"
+    beyond it.
+    """
+    ends, name = (_MEETS[:-1], "meets") if result.passed else (_FAILS, "fails")
+    return f"{name}-{1 + sum(result.ratio > end for end in ends)}"
+
+
+def _legend() -> Table:
+    """The shades in a row."""
+    meets = [f"up to {end:g}" for end in _MEETS[:-1]] + ["up to 1: met"]
+    fails = [f"up to {end:g}" for end in _FAILS] + ["more"]
+    cells = [Cell(text, shade=f"meets-{i}") for i, text in enumerate(meets, 1)]
+    cells += [Cell(text, shade=f"fails-{i}") for i, text in enumerate(fails, 1)]
+    cells += [Cell("unstable", shade="unstable"), Cell(NOT_EVALUATED, shade="absent")]
+    widths = (16, *[84 // len(cells)] * len(cells))
+    return Table(
+        "", ("",) * (1 + len(cells)), (("Share of the limit", *cells),), "", widths, (), True
+    )
+
+
+def _order(place: OperatingPoint | None) -> tuple[float, float]:
+    return (math.inf, 0.0) if place is None else (place.speed, place.seal_pressure)
+
+
+def _rpm(speed: float) -> str:
+    return units.join(units.number(speed * units.RPM, 4), "rpm")
+
+
+Better = Callable[..., Any]  # min or max
+
+_WIDEST = 9  # columns of values side by side in one table
+_MOST_REASONS = 3  # in one cell
+_LONGEST = 80  # characters of where something occurs, in one cell
+# The quantities that decide, and whether less or more of each is better.
+_AT_A_POINT: dict[str, Better] = {
+    "sensitivity.output.max": min,
+    "compliance.max": min,
+    "unbalance.orbit_0p": min,
+    "unbalance.current_0p": min,
+    "impulse.settling": min,
+    "impulse.current_0p": min,
+    "poles.log_decrement.lowest": max,
+}
+_IN_THE_BOX: dict[str, Better] = {
+    "robust.stability.margin": max,
+    "robust.stability.proved": max,
+    "robust.sensitivity.worst": min,
+    "sampled.sensitivity.box": min,
+}
+_IMPLIED = {
+    "stability.abscissa",
+    "robust.stability.box",
+    "sampled.stability.box",
+    "robust.performance",
+}  # told by rows of their own
+
+
+def verdicts_of(candidates: Sequence[Candidate], points: Sequence[str]) -> tuple[Verdict, ...]:
+    """One line per candidate: where it passes and where not."""
+    return tuple(
+        Verdict(candidate.name, candidate.passed, _line(candidate, points))
+        for candidate in candidates
+    )
+
+
+def _line(candidate: Candidate, points: Sequence[str]) -> str:
+    groups: dict[str, list[str]] = {"unstable at": [], "fails at": [], "passes at": []}
+    for point in points:
+        checks = candidate.at(point)
+        if checks is not None:
+            groups[
+                "unstable at" if not checks.holds else "passes at" if checks.passed else "fails at"
+            ].append(point)
+    words = [f"{what} {listed(labels)}" for what, labels in groups.items() if labels]
+    if not groups["unstable at"] and not groups["fails at"]:
+        words = [f"passes every check at {listed(groups['passes at'])}"]
+    if candidate.left_out:
+        words.append(f"not covered by its schedule: {listed(candidate.left_out)}")
+    if candidate.boxes:
+        failed = [around(box) for box in candidate.boxes if not box.passed]
+        words.append(
+            f"fails over the tolerances {listed(failed)}"
+            if failed
+            else "passes over the tolerances"
+        )
+    if candidate.ranges:
+        failed = [checks.label for checks in candidate.ranges if not checks.passed]
+        words.append(
+            f"fails between the points of {listed(failed)}"
+            if failed
+            else "passes between the points of its ranges"
+        )
+    return "; ".join(words)
+
+
+def grouped(sentences: Sequence[str]) -> str:
+    """ "a: x (why)", "a: y (why)", "b: x (why)", "b: y (why)" as "a and b: x, y (why)"."""
+    what: dict[tuple[str, str], list[str]] = {}
+    for sentence in sentences:
+        label, _, rest = sentence.rpartition(": ")
+        name, _, why = rest.partition(" (")
+        what.setdefault((label, why), []).append(name)
+    where: dict[str, list[str]] = {}
+    for (label, why), names in what.items():
+        where.setdefault(f"{', '.join(names)} ({why}" if why else ", ".join(names), []).append(
+            label
+        )
+    return "; ".join(f"{listed(labels)}: {words}" for words, labels in where.items())
+
+
+def verdict_table(candidates: Sequence[Candidate], points: Sequence[str]) -> Table:
+    """One row per candidate, one column per operating point and one for the tolerances around them:
+    pass or fail, and why.
+    """
+    box = any(candidate.robust is not None for candidate in candidates)
+    rows: list[Row] = []
+    for candidate in candidates:
+        cells = [_verdict_cell(candidate.at(point)) for point in points]
+        cells += [_boxes_cell(candidate.boxes)] if box else []
+        rows.append((candidate.name, *cells))
+    columns = ("Controller", *points, *(["over the tolerances"] if box else []))
+    rest = 86 // (len(columns) - 1)
+    return Table(
+        "Who passes where, and why not",
+        columns,
+        tuple(rows),
+        "",
+        (14, *[rest] * (len(columns) - 1)),
+        (),
+        True,
+    )
+
+
+def _verdict_cell(checks: Checks | None) -> Cell:
+    if checks is None:
+        return Cell("not evaluated", "muted")
+    judged = [check for check in checks.checks if check.passed is not None]
+    failed = [check for check in judged if not check.passed]
+    if not checks.stable:
+        return Cell(
+            "unstable", "fail", detail=", ".join(place(check) or reason(check) for check in failed)
+        )
+    if not failed:
+        return Cell(
+            "passes",
+            "pass",
+            detail=f"all {len(judged)} checks" if judged else "no limits were given",
+        )
+    reasons = "; ".join(reason(check) for check in failed[:_MOST_REASONS])
+    rest = f"; and {len(failed) - _MOST_REASONS} more" if len(failed) > _MOST_REASONS else ""
+    return Cell(
+        reasons + rest, "fail", detail=f"{len(judged) - len(failed)} of {len(judged)} checks pass"
+    )
+
+
+def _boxes_cell(boxes: Sequence[Checks]) -> Cell:
+    """The first box that fails, or the first of all; and how many there are where there are
+    several.
+    """
+    if not boxes:
+        return Cell("not evaluated", "muted")
+    failed = [box for box in boxes if not box.passed]
+    cell = _range_cell((failed or boxes)[0])
+    if len(boxes) == 1:
+        return cell
+    count = f"{len(failed)} of {len(boxes)} boxes fail" if failed else f"all {len(boxes)} boxes"
+    text = f"{around(failed[0])}: {cell.text}" if failed else cell.text
+    return replace(cell, text=text, detail="; ".join(filter(None, (count, cell.detail))))
+
+
+def _range_cell(checks: Checks) -> Cell:
+    names = ("robust.stability.margin", "robust.sensitivity.worst", "robust.stability.proved")
+    margin, worst, proved = (find(checks, name) for name in names)
+    worst = find(checks, "sampled.sensitivity.box") or worst  # of the loop that runs
+    if not checks.stable:
+        return Cell(
+            "unstable",
+            "fail",
+            detail="without any perturbation: " + verdict(checks).text.partition(":")[2].strip(),
+        )
+    if margin is not None and margin.passed is False:
+        return Cell(
+            f"unstable from {units.number(margin.value)} of the tolerances on",
+            "fail",
+            detail=_brief(place(margin)),
+        )
+    failed = [check for check in checks.checks if check.passed is False]
+    if failed:
+        return Cell(
+            "; ".join(reason(check) for check in failed[:_MOST_REASONS]),
+            "fail",
+            detail=_proof(proved),
+        )
+    size = "" if worst is None else f"worst output sensitivity {units.number(worst.value)}"
+    return Cell("passes", "pass", detail="; ".join(part for part in (size, _proof(proved)) if part))
+
+
+def _brief(words: str) -> str:
+    """Words that fit a cell; what is longer stands in the detailed tables only."""
+    return words if len(words) <= _LONGEST else ""
+
+
+def _proof(check: Check | None) -> str:
+    if check is None:
+        return "stable at every point tried"
+    model = " with its mean delay" if WITH_MEAN_DELAY in check.detail else ""
+    share = "all over them" if check.value >= 1 else f"for {units.number(check.value)} of them"
+    return f"stability of the loop{model} proved {share}"
+
+
+def glance_table(machine: Machine, candidates: Sequence[Candidate], points: Sequence[str]) -> Table:
+    """The quantities that decide, one column per candidate: worst of all operating points, whole
+    box, the controller.
+    """
+    rows: list[Row] = [
+        _heading("Worst of all operating points", candidates),
+        _stability_row(candidates, points),
+    ]
+    for known, better in _names(
+        [checks for candidate in candidates for checks in candidate.checks], _AT_A_POINT
+    ):
+        rows.append(
+            _row(
+                known,
+                [_worst_of(candidate, points, known.name, better) for candidate in candidates],
+                better,
+            )
+        )
+    boxes = [candidate.robust for candidate in candidates]
+    evaluated = [checks for checks in boxes if checks is not None]
+    if evaluated:
+        rows.append(_heading(f"Tolerances ({_box(machine)}) {around(evaluated[0])}", candidates))
+        for known, better in _names(evaluated, _IN_THE_BOX):
+            rows.append(
+                _row(known, [_entry(checks, known.name, detailed=True) for checks in boxes], better)
+            )
+    rows += _mu_row(candidates)
+    rows += [_heading("Controller", candidates), *_controller_rows(candidates)]
+    note = (
+        "Shaded: the best of its row; an unstable loop has none. ✓ pass, ✗ fail, no sign: no "
+        "limit. γ is "
+        "the norm that each method minimises on a design problem of its own: not to be compared "
+        "between methods."
+    )
+    width = 60 // max(len(candidates), 2)
+    widths = (100 - 10 - width * len(candidates), 10, *[width] * len(candidates))
+    columns = ("Quantity", "Limit", *(candidate.name for candidate in candidates))
+    return Table("The quantities that decide", columns, tuple(rows), note, widths, by_cell=True)
+
+
+def point_tables(candidates: Sequence[Candidate], points: Sequence[str]) -> tuple[Table, ...]:
+    """The same quantities at every operating point, the candidates side by side; cut into several
+    tables to fit on paper.
+    """
+    every = [checks for candidate in candidates for checks in candidate.checks]
+    names = _names(every, _AT_A_POINT)
+    size = max(1, _WIDEST // len(candidates))
+    return tuple(
+        _point_table(candidates, points[i : i + size], names) for i in range(0, len(points), size)
+    )
+
+
+def _point_table(
+    candidates: Sequence[Candidate], points: Sequence[str], names: Sequence[tuple[Check, Better]]
+) -> Table:
+    grouped = [[candidate.at(point) for candidate in candidates] for point in points]
+    rows: list[Row] = [
+        ("Stability", "", *(_stability_cell(checks) for group in grouped for checks in group))
+    ]
+    for known, better in names:
+        groups = [[_entry(checks, known.name) for checks in group] for group in grouped]
+        rows.append(
+            _row(
+                known, [entry for group in groups for entry in group], better, group=len(candidates)
+            )
+        )
+    title = "At every operating point" if len(points) > 1 else f"At {points[0]}"
+    rest = 72 // max(len(points) * len(candidates), 6)
+    widths = (
+        100 - 6 - rest * len(points) * len(candidates),
+        6,
+        *[rest] * (len(points) * len(candidates)),
+    )
+    columns = ("Quantity", "Limit", *[candidate.name for _ in points for candidate in candidates])
+    groups_above = (("", 2), *((point, len(candidates)) for point in points))
+    return Table(
+        title,
+        columns,
+        tuple(rows),
+        "Shaded: the best at that operating point.",
+        widths,
+        groups_above,
+        True,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    """What stands in one cell: a check with some words, or only words why there is none."""
+
+    check: Check | None
+    words: str = ""
+
+
+def _entry(checks: Checks | None, name: str, *, detailed: bool = False) -> _Entry:
+    if checks is None:
+        return _Entry(None, "not evaluated")
+    if not checks.stable:
+        return _Entry(None, "unstable")
+    check = find(checks, name)
+    if check is None:
+        return _Entry(None, "not evaluated")
+    words = [f"zone\u00a0{check.zone}"] if check.zone and math.isfinite(check.value) else []
+    return _Entry(
+        check,
+        ", ".join(words + ([_brief(place(check))] if detailed and _brief(place(check)) else [])),
+    )
+
+
+def _worst_of(candidate: Candidate, points: Sequence[str], name: str, better: Better) -> _Entry:
+    """The check where it is worst, and at which operating point; none where one of them is
+    unstable.
+    """
+    if not all(checks.stable for checks in candidate.checks):
+        return _Entry(None, "unstable")
+    known = [
+        (check, point) for point in points if (check := find(candidate.at(point), name)) is not None
+    ]
+    if not known:
+        return _Entry(None, "not evaluated")
+    check, point = (max if better is min else min)(known, key=lambda pair: pair[0].value)
+    return _Entry(
+        check,
+        ", ".join(
+            ([f"zone\u00a0{check.zone}"] if check.zone else [])
+            + ([point] if len(points) > 1 else [])
+        ),
+    )
+
+
+def _row(sample: Check, entries: Sequence[_Entry], better: Better, *, group: int = 0) -> Row:
+    """Title, limit and cells; among every ``group`` of them (0: all) the best is marked. sample:
+    what the row is about, as it was evaluated anywhere.
+    """
+    checks = [entry.check for entry in entries if entry.check is not None]
+    first = checks[0] if checks else sample
+    known = [
+        abs(x) for check in checks for x in (check.value, check.limit or 0.0) if math.isfinite(x)
+    ]
+    factor, unit = units.scale(first.unit, max(known, default=0.0))
+    limits = {_limit(check, factor) for check in checks or [sample]}
+    size = group or len(entries)
+    cells = []
+    for start in range(0, len(entries), size):
+        part = entries[start : start + size]
+        amounts = [
+            _number(entry.check, factor) if entry.check is not None else "" for entry in part
+        ]
+        best = _best(
+            [
+                (e.check.value, text)
+                for e, text in zip(part, amounts, strict=True)
+                if e.check is not None
+            ],
+            better,
+        )
+        for entry, text in zip(part, amounts, strict=True):
+            limit_words = (
+                ""
+                if entry.check is None or len(limits) == 1
+                else f"limit {_limit(entry.check, factor) or 'none'}"
+            )
+            if entry.check is None:
+                cells.append(Cell(entry.words, "muted"))
+                continue
+            mark = {None: "", True: "pass", False: "fail"}[entry.check.passed]
+            cells.append(
+                Cell(
+                    text,
+                    mark,
+                    text == best,
+                    ", ".join(part for part in (entry.words, limit_words) if part),
+                )
+            )
+    title = units.prose(first.title) + (f" [{unit}]" if unit else "")
+    return (title, limits.pop() if len(limits) == 1 else "", *cells)
+
+
+def _limit(check: Check, factor: float) -> str:
+    return (
+        ""
+        if check.limit is None
+        else f"{RELATION.get(check.relation, check.relation)} {units.number(check.limit * factor)}"
+    )
+
+
+def _number(check: Check, factor: float) -> str:
+    """The value in the shown unit, with as many digits as it takes to tell it from its limit."""
+    if check.limit is None or not math.isfinite(check.value):
+        return units.number(check.value * factor)
+    return units.pair(check.value * factor, check.limit * factor, "")[0]
+
+
+def _best(known: Sequence[tuple[float, str]], better: Better) -> str | None:
+    """The text of the best of some values; none without a rival that reads otherwise."""
+    return str(better(known)[1]) if len({text for _, text in known}) > 1 else None
+
+
+def _names(every: Sequence[Checks], chosen: Mapping[str, Better]) -> list[tuple[Check, Better]]:
+    """The chosen quantities that were evaluated, as found somewhere, then every other one that
+    fails somewhere.
+    """
+    evaluated = {check.name: check for checks in every for check in checks.checks}
+    failed = {
+        check.name: check for checks in every for check in checks.checks if check.passed is False
+    }
+    result: list[tuple[Check, Better]] = [
+        (evaluated[name], better) for name, better in chosen.items() if name in evaluated
+    ]
+    for name, check in failed.items():
+        if name not in chosen and name not in _IMPLIED:
+            result.append((check, max if check.relation in {">", ">="} else min))
+    return result
+
+
+def _heading(text: str, candidates: Sequence[Candidate]) -> Row:
+    return (Cell(text, "heading"), *[""] * (1 + len(candidates)))
+
+
+def _stability_row(candidates: Sequence[Candidate], points: Sequence[str]) -> Row:
+    cells = []
+    for candidate in candidates:
+        bad = [
+            point
+            for point in points
+            if (checks := candidate.at(point)) is not None and not checks.stable
+        ]
+        everywhere = "" if len(candidate.checks) == 1 else "everywhere"
+        cells.append(
+            Cell("unstable", "fail", detail=f"at {listed(bad)}")
+            if bad
+            else Cell("stable", "pass", detail=everywhere)
+        )
+    return ("Stability", "", *cells)
+
+
+def _stability_cell(checks: Checks | None) -> Cell:
+    if checks is None:
+        return Cell("not evaluated", "muted")
+    return Cell("stable", "pass") if checks.stable else Cell("unstable", "fail")
+
+
+def _box(machine: Machine) -> str:
+    return (
+        ", ".join(
+            f"{units.prose(item.parameter)} ±{_half_width(item)}" for item in machine.tolerances
+        )
+        or "all tolerances"
+    )
+
+
+def _half_width(tolerance: Tolerance) -> str:
+    if tolerance.relative is not None:
+        return f"{units.number(100 * tolerance.relative)}\u00a0%"
+    return units.number(tolerance.absolute or 0.0)
+
+
+def _mu_row(candidates: Sequence[Candidate]) -> list[Row]:
+    """Mixed mu of the weighted loop: as robust verification found it, else as the synthesis did."""
+    checks = [find(candidate.robust, "robust.performance") for candidate in candidates]
+    uppers = [check.value if check is not None else math.nan for check in checks]
+    details = [
+        ", ".join(place(check).split(",")[:2]) if check is not None else "" for check in checks
+    ]
+    title = "Peak of mixed µ of the weighted loop, upper bound (below 1: robust performance)"
+    if not any(check is not None for check in checks):
+        margins = [candidate.synthesis.certificate.margins for candidate in candidates]
+        uppers = [values.get("mu_mixed", math.nan) for values in margins]
+        lowers = [values.get("mu_mixed_lower", math.nan) for values in margins]
+        details = [
+            f"lower bound {units.number(lower)}" if math.isfinite(lower) else "" for lower in lowers
+        ]
+    if all(math.isnan(upper) for upper in uppers):
+        return []
+    return [(title, "", *_numbers(uppers, details, better=min, absent="not evaluated"))]
+
+
+def _controller_rows(candidates: Sequence[Candidate]) -> list[Row]:
+    syntheses = [candidate.synthesis for candidate in candidates]
+    orders = [float(synthesis.controller.n_states) for synthesis in syntheses]
+    factor, unit = units.scale("rad/s")
+    fastest = [synthesis.certificate.fastest_pole * factor for synthesis in syntheses]
+    gammas = [
+        Cell(units.number(synthesis.gamma), detail=synthesis.method)
+        if math.isfinite(synthesis.gamma)
+        else Cell("none", "muted")
+        for synthesis in syntheses
+    ]
+    return [
+        ("Order (number of states)", "", *_numbers(orders, better=min)),
+        (f"Fastest pole [{unit}]", "", *_numbers(fastest, better=min)),
+        ("γ", "", *gammas),
+    ]
+
+
+def _numbers(
+    values: Sequence[float], details: Sequence[str] = (), *, better: Better, absent: str = "none"
+) -> list[Cell]:
+    """Plain numbers as cells, the best of them marked; NaN where there is none."""
+    texts = [units.number(value) for value in values]
+    known = [
+        (value, text) for value, text in zip(values, texts, strict=True) if not math.isnan(value)
+    ]
+    best = _best(known, better)
+    details = details or [""] * len(values)
+    return [
+        Cell(absent, "muted") if math.isnan(value) else Cell(text, "", text == best, detail)
+        for value, text, detail in zip(values, texts, details, strict=True)
+    ]
