@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ambrose import load_machine
-from ambrose.chain.stages import facts
+from ambrose.chain.check import facts
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import poles, select
 from ambrose.judge import nominal

@@ -12,9 +12,8 @@ import pytest
 from click.testing import CliRunner
 
 import ambrose as amb
-from ambrose.chain import stages as plants
-from ambrose.chain.check import block_doubts, critical_speeds, rows_of, shares
-from ambrose.chain.stages import facts
+from ambrose.chain import check as plants
+from ambrose.chain.check import block_doubts, critical_speeds, facts, rows_of, shares
 from ambrose.cli import main
 from ambrose.core.checks import NumericalFailure
 from ambrose.judge.loop_response import unavoidable_sensitivity

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ambrose as amb
-from ambrose.chain.stages import facts
+from ambrose.chain.check import facts
 from ambrose.machine.description import OperatingPoint, Operation
 from ambrose.model.assemble import assemble, judged_bending
 from ambrose.model.effects.rotor import finite_element_rotor, free_bending_frequencies

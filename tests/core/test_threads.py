@@ -80,7 +80,7 @@ def test_a_campaign_leaves_the_environment_as_it_was(two_threads, tmp_path):
 
 def test_the_command_called_by_a_program_computes_in_one_thread(two_threads, monkeypatch):
     seen = []
-    from ambrose.chain import stages as plants
+    from ambrose.chain import check as plants
 
     monkeypatch.setattr(
         plants,

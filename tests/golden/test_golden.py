@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
-from ambrose.chain.stages import facts
+from ambrose.chain.check import facts
 from ambrose.judge import nominal
 from ambrose.model.assemble import assemble
 from ambrose.synthesis.design import design

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import ambrose as amb
-from ambrose.chain.stages import facts
+from ambrose.chain.check import facts
 from ambrose.core import mechanical
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response

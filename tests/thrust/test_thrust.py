@@ -430,8 +430,7 @@ def test_henries_for_millihenries_of_the_thrust_bearing_are_doubted():
 
 def test_coefficients_are_said_with_their_point():
     """At the design point under its thrust, not "at rest"."""
-    from ambrose.chain.check import rows_of
-    from ambrose.chain.stages import facts
+    from ambrose.chain.check import facts, rows_of
 
     axial = machine({'label = "rest"': 'label = "idle"'}).axial
     for label, load in (("idle", 0.0), ("rated", 120.0)):

@@ -74,8 +74,7 @@ def check(machine: str, as_json: bool) -> None:
     What is implausible (a length without its unit, a magnet that cannot lift, a gain below k_s/k_i)
     is said with its remedy, and the exit status is 1.
     """
-    from ambrose.chain.check import rows_of
-    from ambrose.chain.stages import facts
+    from ambrose.chain.check import facts, rows_of
 
     known = facts(load(machine, magnets=False), machine)
     if as_json:

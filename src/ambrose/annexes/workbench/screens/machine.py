@@ -53,8 +53,7 @@ def show_machine(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
 
 def _seen(machine: Machine, given: Mapping[str, Any]) -> list[Block]:
     """The drawing and what `check` says."""
-    from ambrose.chain.check import rows_of
-    from ambrose.chain.stages import facts
+    from ambrose.chain.check import facts, rows_of
     from ambrose.report.figures.rotor_drawing import machine_drawing
 
     drawing = svg(
