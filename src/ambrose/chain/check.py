@@ -770,7 +770,11 @@ def insight(plant: Plant) -> dict[str, Any]:
             *corner_doubts(machine, critical[0] if critical else pole),
             *block_doubts(machine),
         ],
-        "remarks": [*_remarks(machine), *_not_held(machine)],
+        "remarks": [
+            *_remarks(machine),
+            *_higher_modes(machine, rotor),
+            *_not_held(machine),
+        ],
     }
 
 
@@ -952,29 +956,64 @@ def _places(machine: Machine, rotor: Rotor) -> Iterator[str]:
             f"the bearings stand {1e3 * np.ptp(places):.3g} mm apart: nothing holds the rotor's "
             "tilting; check position"
         )
-    modes = free_modes(rotor, min(1, bending_modes_of(rotor)))
-    shape = _plane(modes.shapes)[:, 2:]
-    if not shape.size:
-        return
-    largest = float(np.abs(shape[0::2]).max())
-    what = f"the first bending mode ({modes.frequencies[-1] / HERTZ:.4g} Hz)"
-    for bearing in machine.bearings:
-        pairs = [pair for pair in machine.sensor_pairs if pair.bearing == bearing.name]
-        at, *each = (
-            plane_rows(rotor, [bearing.position, *(pair.position for pair in pairs)])[0] @ shape
-        )[:, 0] / largest
-        measured = sum(pair.weight * value for pair, value in zip(pairs, each, strict=True))
+    for bearing, _, frequency, at, measured in _seen(machine, rotor, 1):
+        what = f"the first bending mode ({frequency / HERTZ:.4g} Hz)"
         if abs(measured) < _NODE:
             yield (
-                f"the sensor of bearing {bearing.name} is at a node of {what} and hardly sees it; "
+                f"the sensor of bearing {bearing} is at a node of {what} and hardly sees it; "
                 "move it along the shaft"
             )
         elif at * measured < 0 and abs(at) > _NODE:
             yield (
-                f"the sensor of bearing {bearing.name} is across a node of {what}: what damps "
+                f"the sensor of bearing {bearing} is across a node of {what}: what damps "
                 "other modes drives this one; "
                 "move it to the bearing's side, or design with the mode in the model"
             )
+
+
+def _seen(
+    machine: Machine, rotor: Rotor, count: int
+) -> Iterator[tuple[str, int, float, float, float]]:
+    """Bearing, bending mode, its frequency [rad/s], and its deflection at the magnet and as the
+    sensors read it, both of its largest one, for the lowest ``count`` modes of the rotor at rest.
+    """
+    modes = free_modes(rotor, min(count, bending_modes_of(rotor)))
+    shapes = _plane(modes.shapes)[:, 2:]
+    for bearing in machine.bearings:
+        pairs = [pair for pair in machine.sensor_pairs if pair.bearing == bearing.name]
+        places = [bearing.position, *(pair.position for pair in pairs)]
+        values = plane_rows(rotor, places)[0] @ shapes / np.abs(shapes[0::2]).max(axis=0)
+        measured = np.array([pair.weight for pair in pairs]) @ values[1:]
+        for k, frequency in enumerate(modes.frequencies[4::2]):
+            yield bearing.name, k + 1, float(frequency), float(values[0, k]), float(measured[k])
+
+
+def _higher_modes(machine: Machine, rotor: Rotor) -> Iterator[str]:
+    """The bending modes above the first, as far as the loop reaches, that a magnet hardly moves, or
+    that it and its sensor see with opposite signs: a design needs them in its model.
+    """
+    corner = machine.amplifier.bandwidth or machine.amplifier.natural_frequency or np.inf
+    count = int((judged_bending(machine) <= corner).sum())
+    modes: dict[str, list[str]] = {}
+    for bearing, mode, frequency, at, measured in _seen(machine, rotor, count):
+        if mode == 1:
+            continue
+        what = ""
+        if abs(at) < _NODE or abs(measured) < _NODE:
+            what = f"a node at {'magnet' if abs(at) < _NODE else 'sensor'} {bearing}"
+        elif at * measured < 0:
+            what = f"magnet and sensor {bearing} move oppositely"
+        if what:
+            modes.setdefault(what, []).append(f"{mode} ({frequency / HERTZ:.4g} Hz)")
+    if modes:
+        words = [f"{what} in mode {_some(names)}" for what, names in modes.items()]
+        yield f"bending: {'; '.join(words)}: a design needs these modes in its model"
+
+
+def _some(names: list[str]) -> str:
+    """The first of them, and how many more."""
+    rest = len(names) - _SHOWN
+    return ", ".join(names[:_SHOWN]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def _operation(machine: Machine, critical: list[float]) -> Iterator[str]:
