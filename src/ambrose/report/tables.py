@@ -268,16 +268,18 @@ _LIMIT_OF = {"range.sensitivity": "sensitivity.output.max"}
 
 
 def tightest(verification: Verification) -> tuple[str, Check] | None:
-    """The label and the check that is nearest to its limit, or furthest beyond it; None without
-    any limit. A count or a pole has no share of its limit.
+    """The label and the check that decides: of those that fail the furthest beyond its limit, else
+    the nearest to it. None without any limit; loops that are unstable have no number.
     """
     judged = [
         (label, check)
         for label, checks in verification.labelled
         for check in checks.checks
-        if check.passed is not None and check.limit and math.isfinite(check.ratio or 0.0)
+        if check.passed is not None and check not in checks.lost
     ]
-    return max(judged, key=lambda item: item[1].ratio or 0.0, default=None)
+    failed = [item for item in judged if not item[1].passed]
+    finite = [item for item in failed or judged if math.isfinite(item[1].value)]
+    return max(finite, key=lambda item: item[1].ratio or 0.0, default=None)
 
 
 def deciding_table(verification: Verification) -> Table:
@@ -351,17 +353,20 @@ def _decisive_cell(
 
 
 def failing_table(verification: Verification) -> Table:
-    """Every requirement that is not met: where, which, value, limit and what was found."""
-    rows: list[Row] = [
-        (
-            _short(label),
-            units.prose(check.title),
-            *_value_and_limit(check, level=False),
-            units.prose(check.detail),
-        )
-        for label, checks in verification.labelled
-        for check in checks.failed
-    ]
+    """Every requirement that is not met: where, which, value, limit and what was found; one row for
+    what is found alike at several points, with the worst value.
+    """
+    alike: dict[tuple[str, ...], list[tuple[str, Check]]] = {}
+    for label, checks in verification.labelled:
+        for check in checks.failed:
+            key = (check.name, check.title, check.detail)
+            alike.setdefault(key, []).append((_short(label), check))
+    rows: list[Row] = []
+    for found in alike.values():
+        check = max((check for _, check in found), key=lambda check: check.ratio or check.value)
+        at = found[0][0] if len(found) == 1 else f"{len(found)} operating points"
+        title, detail = units.prose(check.title), units.prose(check.detail)
+        rows.append((at, title, *_value_and_limit(check, level=False), detail))
     return Table("Not met", ("at", "requirement", "value", "limit", "found"), tuple(rows))
 
 
