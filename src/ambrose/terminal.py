@@ -422,7 +422,9 @@ class _Table:
         from rich.table import Table
 
         console = Console(width=width, markup=False, emoji=False, highlight=False)
-        frame: Any = {"box": box.SIMPLE_HEAD, "show_edge": False} if plain else {}
+        frame: Any = (
+            {"box": box.SIMPLE_HEAD, "show_edge": False, "padding": (0, 1, 0, 0)} if plain else {}
+        )
         table = Table(title=_worded(self.title), title_justify="left", title_style="bold", **frame)
         texts = [[_worded(cell) for cell in row] for row in self.rows]
         for k, column in enumerate(map(_worded, self.columns)):
