@@ -86,7 +86,7 @@ _WIDTH, _LINES = 100, 40  # of one screen, in columns and lines
 _FULL = 140  # columns of the tables of --details where there is no terminal
 _LEAST = 60  # columns of a terminal, below which lines are torn
 _LONG_WORD, _LEAD = 16, 30  # characters
-_SCREEN = "ambrose.screen"  # in the meta data of click's context
+_SCREEN = "one screen"  # in the meta data of click's context
 _said: list[bool] = []  # whether this command has printed its JSON object
 # nobody reads: as Unix, as Windows, and as a terminal that was closed says it
 _GONE = {errno.EPIPE, errno.EINVAL, errno.EIO}
