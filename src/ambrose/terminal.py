@@ -495,8 +495,8 @@ class Screen:
                 break
             k = max(longest, key=lambda k: len(shown[k][1]))
             table, lines = cast("tuple[_Table, list[str]]", shown[k])
-            per_row = -(-len(lines) // len(table.rows))
-            table = table.cut(max(over // per_row, 1))
+            # rows differ in height: in large steps only while far off
+            table = table.cut(max(over // 2 * len(table.rows) // len(lines), 1))
             shown[k] = table, self._drawn(table, width)
         rows = sum(part.left for part, _ in shown if isinstance(part, _Table))
         counted = [f"{rows} more rows"] * (rows > 0)
