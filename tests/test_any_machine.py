@@ -320,7 +320,7 @@ def test_commands_on_a_real_machine(tmp_path):
     controller = tmp_path / "pid.json"
     record = tmp_path / "run.h5"
     path.write_text(dumps_machine(real(amb.load_machine("seal-rig"))), encoding="utf-8")
-    checked = call("check", path)
+    checked = call("check", path, "--details")
     assert checked.exit_code == 0 and "sensors of A, B at another angle" in checked.output
     # the rig's own PID loses twice nominal pressure
     assert call("synthesize", path, "--method", "pid", "-o", controller).exit_code == 1

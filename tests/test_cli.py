@@ -109,7 +109,8 @@ def test_verify_fails_a_check_with_status_1(controller):
     points = {point["label"]: point for point in json.loads(done.stdout)["points"]}
     assert points["zero pressure"]["passed"]
     assert not points["twice nominal pressure"]["stable"]
-    assert "UNSTABLE" in call("verify", RIG, "--controller", controller).stdout
+    printed = call("verify", RIG, "--controller", controller).stdout
+    assert printed.startswith("FAILED: ") and "Unstable: twice nominal pressure" in printed
 
 
 def test_simulate_writes_a_record(controller, tmp_path):

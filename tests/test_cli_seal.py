@@ -134,7 +134,7 @@ def test_command_page_file_and_refusals(sines, tmp_path):
     again = amb.load_machine(str(tmp_path / "found.toml"))
     assert truth(again, 2.04 * BAR) == pytest.approx(truth(machine, 2.04 * BAR), rel=0.02)
     assert "Coefficients over frequency" in (tmp_path / "seal.html").read_text()
-    shown = call("seal", "seal-rig", *names, "-o", tmp_path / "again.toml")
+    shown = call("seal", "seal-rig", *names, "-o", tmp_path / "again.toml", "--details")
     assert (
         shown.exit_code == 0
         and "baseline" in shown.stdout

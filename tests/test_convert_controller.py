@@ -63,6 +63,7 @@ def test_a_controller_with_units_and_sign_is_the_one_that_it_came_from(place):
         1,
         "-o",
         path,
+        "--details",
     )
     assert done.exit_code == 0, done.output
     assert (
@@ -216,7 +217,7 @@ def test_it_runs_in_verify_simulate_identify_and_export(place):
     short = place / "short.toml"
     short.write_text(SHORT)
     assert (
-        "sampled at 20000 Hz, 1 sample late (the controller's own)"
+        "sampled at 20 kHz, one sample of delay (from the controller file)"
         in call("verify", RIG, "--controller", path).stdout
     )
     assert (

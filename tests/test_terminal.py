@@ -13,6 +13,7 @@ import sys
 import time
 from pathlib import Path
 
+import click
 import h5py
 import numpy as np
 import pytest
@@ -20,9 +21,12 @@ from click.testing import CliRunner
 
 from ambrose import terminal
 from ambrose.cli import main
+from ambrose.cli.controller_commands import _say_what_decides
 from ambrose.code.block.block import check_identifier
 from ambrose.core.checks import InvalidInput
 from ambrose.identification.result import Provenance, as_comment
+from ambrose.judge.checks import Check, Checks, Verification
+from ambrose.machine.file.toml import bundled_machines
 from ambrose.machine.ordinary_file import check_source, file_name, write_files, write_text
 from ambrose.record import apart
 from ambrose.record.files import read_record, write_record
@@ -573,3 +577,159 @@ def test_a_stage_that_lasts_says_so(monkeypatch, capsys):
     said = (told + capsys.readouterr().err).splitlines()
     assert said[0] == "  thinking" and len(said) > 2
     assert all(line.startswith("  thinking: since ") for line in said[1:])
+
+
+def screen_of(monkeypatch, *arguments):
+    """What a command prints by default, before it is fitted to a width."""
+    shown = []
+
+    def show(screen):
+        shown.append(screen)
+
+    monkeypatch.setattr(terminal.Screen, "show", show)
+    done = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    assert done.exit_code in {0, 1}, done.stderr
+    (screen,) = shown
+    return screen
+
+
+def bounded(screen, most=40):
+    """At 80 and 100 columns: no more lines, no wider, and no word torn but a path or a long name."""
+    whole = {word for line in screen.fitted(1000) for word in line.split()}
+    long = [word for word in whole if len(word) > terminal._LONG_WORD]
+    for width in (80, 100):
+        lines = screen.fitted(width)
+        assert 0 < len(lines) <= most, "\n".join(lines)
+        assert max(map(len, lines)) <= width, max(lines, key=len)
+        torn = {word for line in lines[:-1] for word in line.split()} - whole
+        assert not [word for word in torn if not any(word in name for name in long)], torn
+    return lines
+
+
+@pytest.mark.parametrize("machine", bundled_machines())
+def test_check_is_one_screen(machine, monkeypatch):
+    lines = bounded(screen_of(monkeypatch, "check", machine))
+    assert lines[0].startswith(("PASSED", "IMPLAUSIBLE"))
+
+
+@pytest.mark.parametrize("command", ["machines", "scenarios"])
+def test_a_list_is_one_screen(command, monkeypatch):
+    bounded(screen_of(monkeypatch, command))
+
+
+# quick ones; those after the first are for the long suite
+_QUICK = (
+    "flywheel",
+    *(
+        pytest.param(name, marks=pytest.mark.study)
+        for name in (
+            "seal-rig",
+            "high-speed-spindle",
+            "lalanne-ferraris-rotor",
+            "nelson-mcvaugh-rotor",
+            "overhung-blower",
+            "turboexpander",
+            "two-disc-rotor",
+        )
+    ),
+)
+# what needs more of the machine file
+_LATERAL = {
+    "flywheel",
+    "high-speed-spindle",
+    "lalanne-ferraris-rotor",
+    "nelson-mcvaugh-rotor",
+}
+_MAGNETS = {"nelson-mcvaugh-rotor", "overhung-blower"}
+
+
+@pytest.mark.parametrize("machine", _QUICK)
+def test_the_chain_on_a_machine_is_screens(machine, monkeypatch, tmp_path):
+    """verify printed 66 to 272 lines of 140 columns, lateral lines of 234."""
+    law = tmp_path / "pid.json"
+    rate = ("--rate-hz", 10000)
+    bounded(screen_of(monkeypatch, "synthesize", machine, "--method", "pid", *rate, "-o", law))
+    told = (machine, "--controller", law)
+    lines = bounded(screen_of(monkeypatch, "verify", *told))
+    assert lines[0].startswith(("PASSED: ", "FAILED: "))
+    assert any("operating point" in line and "stable" in line for line in lines)
+    assert "The loop is sampled at 10 kHz, one sample of delay (design rate)." in lines
+    bounded(screen_of(monkeypatch, "map", *told, "--what", "poles"))
+    run = ("--scenario", "impulse-parallel", "--linear", "-o", tmp_path / "run.h5")
+    bounded(screen_of(monkeypatch, "simulate", *told, *run))
+    if machine in _LATERAL:
+        bounded(screen_of(monkeypatch, "lateral", *told))
+        bounded(screen_of(monkeypatch, "landing", machine))
+    if machine in _MAGNETS:
+        bounded(screen_of(monkeypatch, "magnet", machine))
+
+
+def sixteen(spread):
+    """A verification of 16 points, whose axes are above the limit where ``spread`` is."""
+
+    def at(i):
+        value = 2 + spread * i / 16
+        zone = "A" if value <= 3 else "B"
+        checks = (
+            Check("stability.abscissa", "Stability", -9.0, "rad/s", 0.0, "<", True),
+            Check("sensitivity.output.max", "Peak", 2.5, "-", 3.0, "<=", True),
+            *(
+                Check(
+                    f"sensitivity.output.{axis}",
+                    f"Peak output sensitivity, {axis}",
+                    value,
+                    "-",
+                    3.0,
+                    "<=",
+                    value <= 3,
+                    zone,
+                    detail=f"at {40 + i} Hz",
+                )
+                for axis in ("A_zeta", "B_eta")
+            ),
+        )
+        return Checks(f"point {i} of a machine with long labels", True, checks)
+
+    return Verification(tuple(at(i) for i in range(16)))
+
+
+@pytest.mark.parametrize(("spread", "verdict"), [(0.5, "PASSED: "), (3.0, "FAILED: ")])
+def test_sixteen_points_are_one_screen(spread, verdict):
+    verification = sixteen(spread)
+    screen = terminal.Screen(lines=60)
+    with click.Context(click.Command("verify")) as context:
+        context.meta[terminal._SCREEN] = screen
+        _say_what_decides(verification, ())
+    lines = bounded(screen, 60)
+    assert lines[0].startswith(verdict)
+    (limits,) = [line for line in lines if line.strip().startswith("limit ")]
+    assert limits.count("≤ 3") == 2
+    rows = [line for line in lines if line.strip().startswith("point ") and " yes " in line]
+    assert len(rows) == 16  # no operating point is cut: what fails in full is
+    assert sum("*" in row for row in rows) == 1 and ("✗" in "".join(rows)) == (spread > 1)
+    assert ("Not met" in lines) == (spread > 1)
+
+
+def test_what_has_no_room_is_counted_and_what_fails_stays():
+    screen = terminal.Screen("FAILED: three rows.")
+    rows = [(f"row {i}", "a value") for i in range(100)]
+    marks = ["red" if i in {50, 70, 99} else "" for i in range(100)]
+    screen.parts.append(terminal._Table("Many", ("what", "value"), rows, marks))
+    screen.parts += [f"note: number {i} of some length" for i in range(30)]
+    lines = bounded(screen)
+    assert lines[0] == "FAILED: three rows."
+    assert all(any(f"row {i} " in line for line in lines) for i in (50, 70, 99))
+    shown = sum("a value" in line for line in lines)
+    notes = sum(line.startswith("note: ") for line in lines)
+    assert lines[-1] == (
+        f'Not shown: {100 - shown} more rows, {30 - notes} more of "note". '
+        "--details prints everything."
+    )
+
+
+def test_details_prints_everything(monkeypatch):
+    short, full = (call("scenarios", *more)[1] for more in ((), ("--details",)))
+    assert "┃" in full and "┃" not in short
+    assert json.loads(call("scenarios", "--json")[1]) == json.loads(
+        call("scenarios", "--json", "--details")[1]
+    )

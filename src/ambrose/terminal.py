@@ -13,14 +13,17 @@ import errno
 import io
 import os
 import re
+import shutil
 import sys
 import tempfile
+import textwrap
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO, cast
 
 import click
 
@@ -33,9 +36,22 @@ if TYPE_CHECKING:
 ALL = click.option(
     "--all", "everything", is_flag=True, help="Show the quantities without a limit as well."
 )
-AS_JSON = click.option(
-    "--json", "as_json", is_flag=True, help="Print one JSON object and nothing else."
-)
+
+
+def AS_JSON(command: Callable[..., Any]) -> Callable[..., Any]:  # a decorator
+    """--json, and --details, without which what is printed is one screen."""
+    with_details = click.option(
+        "--details",
+        is_flag=True,
+        expose_value=False,
+        callback=_begin_screen,
+        help="Print every table and note in full, not one screen.",
+    )
+    return click.option(
+        "--json", "as_json", is_flag=True, help="Print one JSON object and nothing else."
+    )(with_details(command))
+
+
 MACHINE = click.argument("machine")
 RATE = click.option(
     "--rate-hz",
@@ -66,6 +82,11 @@ _SUFFIX = {"controller file": ".json", "machine file": ".toml", "report": ".html
 # endings that mean a file of this package, or a record
 _KINDS = {*_SUFFIX.values(), ".h5", ".hdf5", ".csv", ".mat", ".tdms"}
 _SILENCE = 30.0  # s
+_WIDTH, _LINES = 100, 40  # of one screen, in columns and lines
+_FULL = 140  # columns of the tables of --details where there is no terminal
+_LEAST = 60  # columns of a terminal, below which lines are torn
+_LONG_WORD, _LEAD = 16, 30  # characters
+_SCREEN = "one screen"  # in the meta data of click's context
 _said: list[bool] = []  # whether this command has printed its JSON object
 # nobody reads: as Unix, as Windows, and as a terminal that was closed says it
 _GONE = {errno.EPIPE, errno.EINVAL, errno.EIO}
@@ -232,7 +253,11 @@ def _encoding(stream: Any) -> str:
 
 def say(text: str, *, err: bool = False) -> None:
     """Print one line."""
-    _write(sys.stderr if err else sys.stdout, one_line(text) + "\n")
+    screen = None if err else one_screen()
+    if screen is None:
+        _write(sys.stderr if err else sys.stdout, one_line(text) + "\n")
+    else:
+        screen.parts.append(one_line(text))
 
 
 def say_json(content: Any, *, unless_said: bool = False) -> None:
@@ -243,8 +268,14 @@ def say_json(content: Any, *, unless_said: bool = False) -> None:
         # --help does without numpy, which the package of this imports
         from ambrose.core.presentation import json_text
 
-        say(json_text(content))
+        _write(sys.stdout, one_line(json_text(content)) + "\n")
         _said.append(True)
+
+
+def say_whole(text: str) -> None:
+    """Print lines that go into a file: never cut, never broken."""
+    for line in text.splitlines():
+        _write(sys.stdout, one_line(line) + "\n")
 
 
 def _write(stream: TextIO, text: str) -> None:
@@ -374,23 +405,159 @@ def _lines() -> Iterator[Callable[[str], None]]:
         over.set()
 
 
+@dataclass(frozen=True)
+class _Table:
+    """A table to be drawn; marks: the style of each row; left: rows that were cut."""
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[tuple[str, ...]]
+    marks: Sequence[str]
+    left: int = 0
+
+    def drawn(self, width: int | None, *, plain: bool) -> str:
+        """width: in columns (None: the terminal's); plain: without lines between the columns."""
+        from rich import box
+        from rich.console import Console
+        from rich.table import Table
+
+        console = Console(width=width, markup=False, emoji=False, highlight=False)
+        frame: Any = (
+            {"box": box.SIMPLE_HEAD, "show_edge": False, "padding": (0, 1, 0, 0)} if plain else {}
+        )
+        table = Table(title=_worded(self.title), title_justify="left", title_style="bold", **frame)
+        texts = [[_worded(cell) for cell in row] for row in self.rows]
+        for k, column in enumerate(map(_worded, self.columns)):
+            words = " ".join([column, *(row[k] for row in texts)]).split(" ")
+            longest = max(len(word) for word in words)
+            # a word is not torn for the sake of a neighbour, unless it is a path or a name
+            least = longest if plain and longest <= _LONG_WORD else None
+            table.add_column(column, overflow="fold", min_width=least)
+        for i, row in enumerate(texts):
+            table.add_row(*row, style=self.marks[i] if self.marks else None)
+        with console.capture() as capture:
+            console.print(table)
+        return capture.get()
+
+    def cut(self, by: int) -> _Table:
+        """Without ``by`` of its rows: the last ones, those that are marked last of all."""
+        marks = self.marks or [""] * len(self.rows)
+        order = sorted(range(len(self.rows)), key=lambda i: (not marks[i], i))
+        keep = sorted(order[: max(len(order) - by, 1)])
+        left = self.left + len(self.rows) - len(keep)
+        return replace(
+            self, rows=[self.rows[i] for i in keep], marks=[marks[i] for i in keep], left=left
+        )
+
+
+@dataclass
+class Screen:
+    """What a command prints without --details: ``verdict`` in one sentence, the tables, the notes,
+    and at most ``lines`` lines; what had no room is counted in the last one.
+    """
+
+    verdict: str = ""
+    parts: list[str | _Table] = field(default_factory=list)
+    lines: int = _LINES
+
+    def show(self) -> None:
+        """Print it; the width is that of the terminal, or of COLUMNS, up to 100."""
+        width = max(min(_WIDTH, shutil.get_terminal_size((_WIDTH, 0)).columns), _LEAST)
+        _write(sys.stdout, "".join(f"{line}\n" for line in self.fitted(width)))
+
+    def fitted(self, width: int) -> list[str]:
+        """Its lines at that width."""
+        head = _wrapped(self.verdict, width) if self.verdict else []
+        parts = [(part, self._drawn(part, width)) for part in self.parts]
+        if len(head) + sum(len(lines) for _, lines in parts) <= self.lines:
+            return head + [line for _, lines in parts for line in lines]
+        # notes first: whole ones as long as a third of the screen holds them, the others counted
+        room = max(
+            self.lines // 3,
+            self.lines
+            - len(head)
+            - 1
+            - sum(len(lines) for part, lines in parts if isinstance(part, _Table)),
+        )
+        unsaid: dict[str, int] = {}
+        shown: list[tuple[str | _Table, list[str]]] = []
+        for part, lines in parts:
+            if isinstance(part, _Table) or len(lines) <= room:
+                shown.append((part, lines))
+                room -= 0 if isinstance(part, _Table) else len(lines)
+            else:
+                kind = part.partition(":")[0] if ":" in part[:_LEAD] else "line"
+                unsaid[kind] = unsaid.get(kind, 0) + 1
+        # then rows, of the longest table first; each keeps one
+        while (over := len(head) + 1 + sum(len(lines) for _, lines in shown) - self.lines) > 0:
+            longest = [k for k, (part, _) in enumerate(shown) if _can_be_cut(part)]
+            if not longest:
+                break
+            k = max(longest, key=lambda k: len(shown[k][1]))
+            table, lines = cast("tuple[_Table, list[str]]", shown[k])
+            # rows differ in height: in large steps only while far off
+            table = table.cut(max(over // 2 * len(table.rows) // len(lines), 1))
+            shown[k] = table, self._drawn(table, width)
+        rows = sum(part.left for part, _ in shown if isinstance(part, _Table))
+        counted = [f"{rows} more rows"] * (rows > 0)
+        counted += [f'{number} more of "{kind}"' for kind, number in unsaid.items()]
+        rest = f"Not shown: {', '.join(counted)}. --details prints everything."
+        return head + [line for _, lines in shown for line in lines] + _wrapped(rest, width)[:1]
+
+    @staticmethod
+    def _drawn(part: str | _Table, width: int) -> list[str]:
+        if isinstance(part, str):
+            return _wrapped(part, width)
+        return [line.rstrip() for line in part.drawn(width, plain=True).splitlines()]
+
+
+def _can_be_cut(part: str | _Table) -> bool:
+    return isinstance(part, _Table) and len(part.rows) > 1
+
+
+def _wrapped(text: str, width: int) -> list[str]:
+    """A line of text in as many as it takes; words and paths stay whole."""
+    return textwrap.wrap(_worded(text), width, break_long_words=False, break_on_hyphens=False) or [
+        ""
+    ]
+
+
+def one_screen() -> Screen | None:
+    """The screen of the command that runs; None with --details, which prints as it comes."""
+    context = click.get_current_context(silent=True)
+    found: Screen | None = None if context is None else context.meta.get(_SCREEN)
+    return found
+
+
+def _begin_screen(context: click.Context, _: click.Parameter, details: bool) -> None:
+    if details:
+        return
+    screen = context.meta[_SCREEN] = Screen()
+
+    def end() -> None:
+        del context.meta[_SCREEN]
+        screen.show()
+
+    context.call_on_close(end)
+
+
+def say_verdict(text: str, *, in_full: str = "") -> None:
+    """The first sentence of a screen; in_full: what --details prints in its place, if anything."""
+    if (screen := one_screen()) is not None:
+        screen.verdict = one_line(text)
+    elif in_full:
+        say(in_full)
+
+
 def print_table(
     title: str, columns: Sequence[str], rows: Sequence[tuple[str, ...]], marks: Sequence[str] = ()
 ) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(
-        width=None if sys.stdout.isatty() else 140, markup=False, emoji=False, highlight=False
-    )
-    table = Table(title=_worded(title), title_justify="left", title_style="bold")
-    for column in columns:
-        table.add_column(_worded(column), overflow="fold")
-    for i, row in enumerate(rows):
-        table.add_row(*map(_worded, row), style=marks[i] if marks else None)
-    with console.capture() as drawn:
-        console.print(table)
-    _write(sys.stdout, drawn.get())
+    table, screen = _Table(title, columns, rows, marks), one_screen()
+    if screen is None:
+        width = None if sys.stdout.isatty() else _FULL
+        _write(sys.stdout, table.drawn(width, plain=False))
+    else:
+        screen.parts.append(table)
 
 
 def print_checks(checks: Any, everything: bool) -> None:

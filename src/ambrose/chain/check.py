@@ -3,7 +3,7 @@ remedy.
 
 A file that is well-formed may still hold 600 for 600 mm. What a commissioning engineer would notice
 on the first page is looked at here: sizes, loads against forces, gains against negative stiffness,
-nodes, speeds, and what delay makes unavoidable.
+nodes, speeds, and the limits that delay sets.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def rows_of(facts: dict[str, Any]) -> list[tuple[str, str]]:
                 ", ".join(quantity(w, "rad/s") for w in facts["critical_speeds_rad_s"]) or "none",
             ),
             (
-                "least sensitivity that the delay allows",
+                "lowest achievable sensitivity peak (delay)",
                 "none" if least is None else f"{least:.3g}",
             ),
         ]
@@ -98,7 +98,7 @@ def rows_of(facts: dict[str, Any]) -> list[tuple[str, str]]:
         *(_bearing(item) for item in facts["bearings"]),
         *held,
         ("free-free bending", ", ".join(quantity(w, "rad/s") for w in facts["bending_rad_s"])),
-        ("error of the mesh in these and all judged", _mesh(facts["mesh_error"])),
+        ("error of the mesh in the modes that matter", _mesh(facts["mesh_error"])),
         ("unstable open-loop poles", f"{unstable} rad/s" if unstable else "none"),
         (
             "rotor states, full and reduced",
@@ -289,7 +289,7 @@ def axial_rows(facts: dict[str, Any], quantity: Any) -> list[tuple[str, str]]:
             "static stiffness margin, K_p k_i / k_s",
             "no reference controller" if margin is None else f"{margin:.3g}",
         ),
-        ("least sensitivity that the delay allows", f"{least:.3g}"),
+        ("lowest achievable sensitivity peak (delay)", f"{least:.3g}"),
         ("plant states", f"{facts['plant_states']}"),
         ("operating points", ", ".join(facts["operating_points"])),
         ("uncertain parameters", ", ".join(facts["tolerances"]) or "none"),

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -25,14 +26,19 @@ from ambrose.terminal import (
     kept_page,
     load,
     load_controller,
+    one_screen,
     print_checks,
     print_table,
     progress_shown,
     quantity_given,
     say,
     say_json,
+    say_verdict,
     shown,
 )
+
+if TYPE_CHECKING:
+    from ambrose.judge.checks import Verification
 
 # `ambrose synthesize`.
 
@@ -404,6 +410,10 @@ def trade_off(
         )
     else:
         heading = over if result.unit == "-" else f"{over} [{result.unit}]"
+        say_verdict(
+            f"All other requirements are met at {sum(result.met)} of {len(result.met)} values of "
+            f"{over}."
+        )
         print_table(
             f"lowest sensitivity against {over}",
             (heading, "sensitivity", "all else met", "what binds"),
@@ -551,28 +561,90 @@ def verify(
     if as_json:
         say_json({"machine": description.name, **result.to_dict()})
     else:
-        for _, checks in result.labelled:
-            print_checks(checks, everything)
-        say(f"The loop that was judged is {result.timing}.")
-        for words in result.over_speed:
-            say(f"Beyond the machine's own speed: {words}.")
-        for words in result.not_varied:
-            say(f"Not varied around {words}.")
-        for proof in moving_proofs() if not result.moving else ():
-            if (sentence := proof.unproved(description, motion)) is not None:
-                say(sentence)
-        failed = [label for label, checks in result.labelled if not checks.passed]
-        every = f"every check of all {len(result.labelled)} tables"
-        say(f"Failed: {'; '.join(failed)}." if failed else f"Passed: {every}.")
-        if result.left_out:
-            why = (
-                "the schedule does not cover them, in what it is scheduled over or in what it was "
-                "designed at"
-            )
-            say(f"Not judged, which does not pass: {'; '.join(result.left_out)}; {why}.")
+        unproved = [
+            sentence
+            for proof in (moving_proofs() if not result.moving else ())
+            if (sentence := proof.unproved(description, motion)) is not None
+        ]
+        screen = one_screen()
+        if screen is None:
+            _say_in_full(result, unproved, everything)
+        else:
+            # the table that decides grows with the points
+            screen.lines = min(60, max(screen.lines, 28 + 2 * len(result.points)))
+            _say_what_decides(result, unproved)
     if failure is not None:
         raise failure
     sys.exit(0 if result.passed else 1)
+
+
+def _say_what_decides(result: Verification, unproved: Sequence[str]) -> None:
+    """The verdict, the table that decides, what fails in full, what was not checked, by kind."""
+    from ambrose.judge.checks import CONTINUOUS
+    from ambrose.law.loop import timing_in_words
+    from ambrose.report.tables import deciding_table, deciding_verdict, failing_table
+
+    say_verdict(deciding_verdict(result))
+    table, failing = deciding_table(result), failing_table(result)
+    for part in (table, failing):
+        if part.rows:
+            rows = [tuple(getattr(cell, "text", str(cell)) for cell in row) for row in part.rows]
+            styles = {"fail": "red", "number": "bold"}
+            marks = [styles.get(getattr(row[0], "mark", "fail"), "") for row in part.rows]
+            print_table(part.title, part.columns, rows, marks)
+        if part.rows and part.note:
+            say(part.note)
+    if result.left_out:
+        names = "; ".join(result.left_out)
+        say(f"Not covered by the controller's schedule, which does not pass: {names}.")
+    say(
+        "The loop is continuous: no sample rate is known. Use --rate-hz for the sampled loop."
+        if result.timing == CONTINUOUS
+        else f"The loop is {timing_in_words(result.timing)}."
+    )
+    labels = [checks.label for checks in result.points]
+    for ending, why in (("(zero here)", "zero there"), (" only)", "given for other points")):
+        counts = {
+            label: count
+            for label in labels
+            if (
+                count := sum(
+                    words.startswith(f"{label}: ") and words.endswith(ending)
+                    for words in result.not_varied
+                )
+            )
+        }
+        if counts:
+            where = ", ".join(f"{count} at {label}" for label, count in counts.items())
+            say(f"Parameters not varied ({why}): {where}.")
+    if result.over_speed:
+        say(f"Above the machine's top speed: {'; '.join(result.over_speed)}.")
+    for sentence in unproved:
+        say(sentence)
+    say("Every check: --details, with --all those without a limit. Page: --report page.html.")
+
+
+def _say_in_full(result: Verification, unproved: Sequence[str], everything: bool) -> None:
+    from ambrose.law.loop import timing_in_words
+
+    for _, checks in result.labelled:
+        print_checks(checks, everything)
+    say(f"The loop is {timing_in_words(result.timing)}.")
+    for words in result.over_speed:
+        say(f"Beyond the machine's own speed: {words}.")
+    for words in result.not_varied:
+        say(f"Not varied around {words}.")
+    for sentence in unproved:
+        say(sentence)
+    failed = [label for label, checks in result.labelled if not checks.passed]
+    every = f"every check of all {len(result.labelled)} tables"
+    say(f"Failed: {'; '.join(failed)}." if failed else f"Passed: {every}.")
+    if result.left_out:
+        why = (
+            "the schedule does not cover them, in what it is scheduled over or in what it was "
+            "designed at"
+        )
+        say(f"Not judged, which does not pass: {'; '.join(result.left_out)}; {why}.")
 
 
 # `ambrose map`.
@@ -634,6 +706,7 @@ def map_command(
     from math import pi
 
     from ambrose.judge.exploration import explore
+    from ambrose.law.loop import timing_in_words
     from ambrose.report import theme as units
     from ambrose.report.verification import exploration_page
 
@@ -689,10 +762,14 @@ def map_command(
                 )
             )
         title = f"{description.name}, {exploration.point.label or 'its design point'}"
+        say_verdict(
+            f"{'STABLE' if exploration.stable else 'UNSTABLE'} in the machine's own range: "
+            f"{report.verdicts[0].text}."
+        )
         print_table(title, ("what", "found"), [tuple(map(str, row)) for row in rows])
         for note in exploration.notes:
             say(f"note: {note}")
-        say(f"The loop is {exploration.timing}.")
+        say(f"The loop is {timing_in_words(exploration.timing)}.")
         if output is not None and failure is None:
             say(f"Page: {output}")
     if failure is not None:

@@ -20,6 +20,8 @@ from ambrose.terminal import (
     progress_shown,
     say,
     say_json,
+    say_verdict,
+    say_whole,
 )
 
 if TYPE_CHECKING:
@@ -55,8 +57,7 @@ def scenarios(name: str | None, as_json: bool) -> None:
         if as_json:
             say_json({"name": name, "text": text})
         else:
-            for line in text.splitlines():
-                say(line)
+            say_whole(text)
         return
     if as_json:
         say_json(known)
@@ -68,7 +69,7 @@ def scenarios(name: str | None, as_json: bool) -> None:
 @MACHINE
 @AS_JSON
 def check(machine: str, as_json: bool) -> None:
-    """Validate a machine file, and say what it can do: mass, magnets against weight, bending,
+    """Validate a machine file, and say what it can do: mass, load capacity, bending,
     poles, critical speeds.
 
     What is implausible (a length without its unit, a magnet that cannot lift, a gain below k_s/k_i)
@@ -81,6 +82,12 @@ def check(machine: str, as_json: bool) -> None:
         say_json(known)
     else:
         title = ": ".join(text for text in (known["machine"], known["description"]) if text)
+        doubts = len(known["doubts"])
+        say_verdict(
+            f"IMPLAUSIBLE: {doubts} {'entry' if doubts == 1 else 'entries'} of the machine file."
+            if doubts
+            else "PASSED: no entry of the machine file is implausible."
+        )
         print_table(title, ("quantity", "value"), rows_of(known))
         for doubt in known["doubts"]:
             say(f"implausible: {doubt}")

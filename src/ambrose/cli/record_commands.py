@@ -23,6 +23,7 @@ from ambrose.terminal import (
     quantity_given,
     say,
     say_json,
+    say_verdict,
 )
 
 # `ambrose record check`.
@@ -158,7 +159,8 @@ def identify_generic(
             print_table(table.title, table.columns, rows)
         for finding in done.findings:
             say(f"Warning: {finding}")
-        say(f"Verdict: {done.verdict}" + (f". Page: {output}" if output and not failure else ""))
+        text = f"Verdict: {done.verdict}" + (f". Page: {output}" if output and not failure else "")
+        say_verdict(text, in_full=text)
     if failure is not None:
         raise failure
     sys.exit(0 if done.passed else 1)
@@ -329,8 +331,9 @@ def _print(done: Any, compared: Any) -> None:
                 _table(tables.seal_lines_table(done.seal.fit))
     if compared is not None:
         _table(tables.compared_table(compared))
-    for line in (f"Verdict: {done.verdict}", *[f"Warning: {finding}" for finding in done.doubts]):
-        say(line)
+    say_verdict(f"Verdict: {done.verdict}", in_full=f"Verdict: {done.verdict}")
+    for finding in done.doubts:
+        say(f"Warning: {finding}")
     for remark in () if done.method == "static" else done.remarks:
         say(f"Note: {remark}.")
 

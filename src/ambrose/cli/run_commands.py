@@ -155,7 +155,7 @@ def simulate(
     run is interrupted.
     """
     from ambrose.core.checks import invalid
-    from ambrose.law.loop import DEFAULT, timing_of
+    from ambrose.law.loop import DEFAULT, timing_in_words, timing_of
     from ambrose.record.files import check_suffix, write_record
     from ambrose.report.record import REACHED, run_result
     from ambrose.rig.trial import simulate_scenario
@@ -266,7 +266,7 @@ def simulate(
         say(f"{output}: {trace.text}")
         if trace.passed and (not result.passed or result.text.endswith(REACHED)):
             say(f"{result.text[:1].upper()}{result.text[1:]}.")
-        say(f"Controller: {timing or 'continuous'}")
+        say(f"Controller: {timing_in_words(str(timing or 'continuous'))}")
         if looped is not None:
             say(looped.text)
     if failure is not None:

@@ -5,6 +5,7 @@ signals find their axes.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -429,6 +430,30 @@ class Timing:
     def __str__(self) -> str:
         delay = "1 sample" if self.delay_samples == 1 else f"{self.delay_samples} samples"
         return f"sampled at {self.rate:.6g} Hz, {delay} late ({self.source})"
+
+
+_WRITTEN = re.compile(r"sampled at (\S+) Hz, (\d+) samples? late")
+# whose rate it is, as files say it and as people read it
+_SOURCES = {
+    "(what it was designed for": "(design rate",
+    "(the controller's own": "(from the controller file",
+}
+
+
+def timing_in_words(text: str) -> str:
+    """A timing as results carry it, ``str(timing)``, for people: "sampled at 10 kHz, one sample of
+    delay (design rate)"; other words stay.
+    """
+
+    def plain(found: re.Match[str]) -> str:
+        rate, late = float(found[1]), int(found[2])
+        shown = f"{rate / 1e3:.6g} kHz" if rate >= 1e3 else f"{rate:.6g} Hz"
+        delay = {0: "no sample", 1: "one sample"}.get(late, f"{late} samples")
+        return f"sampled at {shown}, {delay} of delay"
+
+    for written, read in _SOURCES.items():
+        text = text.replace(written, read)
+    return _WRITTEN.sub(plain, text)
 
 
 DEFAULT = Timing(1e-4, 1, "assumed: nothing says it")  # where a rate is needed and nobody knows one

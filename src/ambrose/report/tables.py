@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from ambrose.identification.findings import ERROR, Finding
-from ambrose.judge.checks import OVER_TOLERANCES, Check, Checks
+from ambrose.judge.checks import CONTINUOUS, OVER_TOLERANCES, Check, Checks, Verification, box_label
+from ambrose.law.loop import timing_in_words
 from ambrose.machine.attachment import attached
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.file.toml import machine_hash
@@ -247,6 +248,173 @@ def _overview_cell(check: Check | None, *, with_limit: bool) -> Cell:
     return Cell(
         " · ".join(words), "none" if check.passed is None else "pass" if check.passed else "fail"
     )
+
+
+# The table that decides: a row for each operating point or range, a column for each requirement.
+
+
+_MARK = {"none": "", "pass": "", "fail": " ✗"}
+# title, and the check that it shows; where several begin so, the one nearest to its limit
+_DECISIVE = (
+    ("S, worst axis, zone", "sensitivity.output."),
+    ("σmax(S)", "sensitivity.output.max"),
+    ("unbalance", "unbalance.orbit_0p"),
+    ("current", "unbalance.current_0p"),
+    ("settling", "impulse.settling"),
+)
+_FURTHEST = "furthest beyond its limit"
+_OVER_BOX = ("sampled.sensitivity.box", "robust.sensitivity.worst")
+_LIMIT_OF = {"range.sensitivity": "sensitivity.output.max"}
+
+
+def tightest(verification: Verification) -> tuple[str, Check] | None:
+    """The label and the check that decides: of those that fail the furthest beyond its limit, else
+    the nearest to it. None without any limit; loops that are unstable have no number.
+    """
+    judged = [
+        (label, check)
+        for label, checks in verification.labelled
+        for check in checks.checks
+        if check.passed is not None and check not in checks.lost
+    ]
+    failed = [item for item in judged if not item[1].passed]
+    finite = [item for item in failed or judged if math.isfinite(item[1].value)]
+    return max(finite, key=lambda item: item[1].ratio or 0.0, default=None)
+
+
+def deciding_table(verification: Verification) -> Table:
+    """Stability, sensitivity with its zone, unbalance response, current, settling and the worst
+    over the tolerances; the first row is the limits. A cell that fails has a cross, the one that
+    is nearest to its limit a star; columns that would be empty are left out.
+    """
+    boxes = {box.label: box for box in verification.boxes}
+    nearest = tightest(verification)
+    others = (*verification.ranges, *verification.moving, *verification.synchronous)
+    lines: list[tuple[str, Checks, list[Check | None]]] = []
+    for checks in (*verification.points, *others):
+        found = [_decisive(checks, name) for _, name in _DECISIVE]
+        box = boxes.get(box_label(checks.label))
+        found.append(None if box is None else _over_box(box))
+        lines.append((checks.label, checks, found))
+    titles = [*(title for title, _ in _DECISIVE), "S over tolerances"]
+    used = [k for k in range(len(titles)) if any(found[k] is not None for _, _, found in lines)]
+    heads = ("operating point", "stable", *(titles[k] for k in used))
+    limits = {
+        k: {_limit(check) for _, _, found in lines if (check := found[k]) is not None} for k in used
+    }
+    common = {k: len(limits[k]) == 1 for k in used}
+    shared = (Cell(next(iter(limits[k])) if common[k] else "", "number") for k in used)
+    limit_row: Row = (Cell("limit", "number"), Cell("", "number"), *shared)
+    rows = [limit_row] if used else []
+    for label, checks, found in lines:
+        box = boxes.get(box_label(label))
+        lost = bool(checks.lost) or not checks.stable
+        stable = Cell("no ✗", "fail") if lost else Cell("yes", "pass")
+        cells = [_decisive_cell(found[k], nearest, with_limit=not common[k]) for k in used]
+        if box is not None and box.lost:
+            cells[-1] = Cell("unstable ✗", "fail")
+        rows.append((Cell(label, "none" if checks.passed else "fail"), stable, *cells))
+    note = ""
+    if nearest is not None:
+        note = f"✗ not met, * {'tightest requirement' if nearest[1].passed else _FURTHEST}"
+    return Table("", heads, tuple(rows), note)
+
+
+def _decisive(checks: Checks, name: str) -> Check | None:
+    """The check of that name, or of those that begin so the worst; None where there is none."""
+    if not name.endswith("."):
+        here = [c for c in checks.checks if _LIMIT_OF.get(c.name, c.name) == name]
+    else:
+        here = [c for c in checks.checks if c.name.startswith(name) and not c.name.endswith(".max")]
+    return max(here, key=lambda check: check.value, default=None)
+
+
+def _over_box(box: Checks) -> Check | None:
+    """The worst sensitivity over the tolerances: the check of it that has a limit."""
+    here = [check for check in box.checks if check.name in _OVER_BOX]
+    return next((check for check in here if check.passed is not None), here[0] if here else None)
+
+
+def _limit(check: Check) -> str:
+    return _value_and_limit(check)[1]
+
+
+def _decisive_cell(
+    check: Check | None, nearest: tuple[str, Check] | None, *, with_limit: bool
+) -> Cell:
+    if check is None:
+        return Cell("–", "muted")
+    value, limit = _value_and_limit(check, level=False)
+    kind = "none" if check.passed is None else "pass" if check.passed else "fail"
+    words = [value, *([check.zone] if check.zone else [])]
+    words += [f"({limit})"] if with_limit and limit else []
+    star = " *" if nearest is not None and check is nearest[1] else ""
+    return Cell(" ".join(words) + _MARK[kind] + star, kind)
+
+
+def failing_table(verification: Verification) -> Table:
+    """Every requirement that is not met: where, which, value, limit and what was found; one row for
+    what is found alike at several points, with the worst value.
+    """
+    alike: dict[tuple[str, ...], list[tuple[str, Check]]] = {}
+    for label, checks in verification.labelled:
+        for check in checks.failed:
+            key = (check.name, check.title, check.detail)
+            alike.setdefault(key, []).append((_short(label), check))
+    rows: list[Row] = []
+    for found in alike.values():
+        check = max((check for _, check in found), key=lambda check: check.ratio or check.value)
+        at = found[0][0] if len(found) == 1 else f"{len(found)} operating points"
+        title, detail = units.prose(check.title), units.prose(check.detail)
+        rows.append((at, title, *_value_and_limit(check, level=False), detail))
+    return Table("Not met", ("at", "requirement", "value", "limit", "found"), tuple(rows))
+
+
+def _short(label: str) -> str:
+    return (
+        f"tolerances, {label.removeprefix(OVER_TOLERANCES).removeprefix(' around ')}"
+        if (label.startswith(OVER_TOLERANCES))
+        else label
+    )
+
+
+def deciding_verdict(verification: Verification) -> str:
+    """The verdict on a controller, then the number that decides."""
+    judged = [
+        check
+        for _, checks in verification.labelled
+        for check in checks.checks
+        if check.passed is not None
+    ]
+    failed = [check for check in judged if not check.passed]
+    points, boxes = len(verification.points), len(verification.boxes)
+    scope = f"{points} operating point{'s' * (points != 1)}"
+    scope += f", tolerances at {boxes} of them" if boxes else ""
+    ranges = len(verification.ranges)
+    scope += f", {ranges} range{'s' * (ranges > 1)}" if ranges else ""
+    loop = "continuous loop"
+    if verification.timing != CONTINUOUS:
+        loop = timing_in_words(verification.timing).partition(",")[0] + " loop"
+        loop = loop.replace("sampled at ", "sampled ")
+    if verification.passed:
+        words = f"PASSED: {scope}, {loop}."
+    elif failed:
+        unstable = [_short(label) for label, checks in verification.labelled if not checks.holds]
+        if len(unstable) == points > 1 and not boxes:
+            unstable = [f"all {points} operating points"]
+        words = (
+            f"FAILED: {len(failed)} of {len(judged)} requirements are not met ({scope}, {loop})."
+        )
+        words += f" Unstable: {'; '.join(unstable)}." if unstable else ""
+    else:
+        words = f"FAILED: the controller does not cover all operating points ({scope}, {loop})."
+    if (nearest := tightest(verification)) is None:
+        return words
+    label, check = nearest
+    value, limit = _value_and_limit(check, level=False)
+    title = units.prose(check.title[:1].lower() + check.title[1:])
+    which = "Tightest requirement" if check.passed else _FURTHEST.capitalize()
+    return f"{words} {which}: {title} {value} (limit {limit.split(' ', 1)[-1]}), {_short(label)}."
 
 
 def operating_points_table(points: Sequence[OperatingPoint]) -> Table:

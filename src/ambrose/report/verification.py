@@ -13,7 +13,7 @@ import numpy as np
 from ambrose.judge.checks import Checks, Curve, Verification
 from ambrose.judge.exploration import BoxUnbalance, Exploration, PoleMap, PulseFamily
 from ambrose.judge.plants import Stability, describe
-from ambrose.law.loop import DEFAULT, STATE_RATE
+from ambrose.law.loop import DEFAULT, STATE_RATE, timing_in_words
 from ambrose.machine.machine import Machine
 from ambrose.report import tables, theme
 from ambrose.report import theme as units
@@ -154,7 +154,7 @@ def page_of_verification(verification: Verification, machine: Machine, **options
     facts = (
         tables.machine_fact(machine),
         ("Controller", verification.controller),
-        ("Loop judged", verification.timing),
+        ("Loop", timing_in_words(verification.timing)),
         ("Left out", ", ".join(verification.left_out)),
         ("Not varied", ", ".join(verification.not_varied)),
     )
@@ -479,7 +479,7 @@ def exploration_page(exploration: Exploration, *, date: str = "") -> Page:
     facts = (
         tables.machine_fact(exploration.machine),
         ("Operating point", exploration.point.label),
-        ("Loop", exploration.timing),
+        ("Loop", timing_in_words(exploration.timing)),
         ("How", units.prose(tables.capitalised(exploration.notes, ". ", ""))),
     )
     verdicts.insert(

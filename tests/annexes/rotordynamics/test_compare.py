@@ -311,6 +311,6 @@ def test_of_many_rows_those_are_printed_that_decide(analysis, tmp_path):
     data, theirs = tmp_path / "lateral.json", tmp_path / "t.csv"
     data.write_text(json.dumps(analysis.to_dict()))
     theirs.write_text("kind;speed [rpm];amplitude [um p-p]\n" + rows)
-    done = CliRunner().invoke(main, ["compare", str(data), str(theirs)])
+    done = CliRunner().invoke(main, ["compare", str(data), str(theirs), "--details"])
     assert "200 of 1,000 rows: first those without a partner" in done.output
     assert done.output.count("um p-p") == 3 * 200  # theirs, ours and the difference

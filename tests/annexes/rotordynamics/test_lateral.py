@@ -299,12 +299,12 @@ def test_the_terminal_names_what_was_not_judged(tmp_path, monkeypatch):
         FILE.format(modulus=2_100_000, first=0.0, second=1.0, stiffness=K, damping=C, more="")
     )
     monkeypatch.setattr("ambrose.annexes.rotordynamics.command.say", told.append)
-    assert CliRunner().invoke(lateral_command, [str(path)]).exit_code == 1
+    assert CliRunner().invoke(lateral_command, [str(path), "--details"]).exit_code == 1
     named = {text.split(": not ")[0] for text in told}
-    assert "fails: Clearances" in named and "not judged: Torsional analysis" in named
+    assert "fails: Clearances" in named and "not checked: Torsional analysis" in named
     (border,) = [text for text in told if "stability threshold, Q0 (" in text]
     assert (
-        border.startswith("not judged: Level I: ") and " values, refined): not judged: " in border
+        border.startswith("not checked: Level I: ") and " values, refined): not judged: " in border
     )
 
 
@@ -459,7 +459,11 @@ def test_a_value_that_is_not_finite_passes_nothing(value):
     failing = Item("x", "A thing", "", "", "own", value, "-", ">=", 1.0, False)
     assert failing.passed is False
     text = heads(films(), (row, Item("y", "Another", "", "", "own", 2.0, "-", ">=", 1.0, True)))
-    assert "all 1 judged rows hold" in text and "not judged" in text and "A thing" in text
+    assert (
+        "All 1 requirements are met" in text
+        and "Not checked, value unknown" in text
+        and "A thing" in text
+    )
 
 
 PROBES = """
@@ -637,7 +641,7 @@ def test_a_controller_without_a_rate_fails_where_a_rate_would_lose_it():
     (row,) = as_it_runs(loops, law, None)
     assert row.passed is False and "a pole with real part +" in row.note
     assert "sample_time in [controller] or --rate-hz" in row.note
-    assert "1 of 1 judged rows fails" in heads(machine, (row,))
+    assert "1 of 1 requirements is not met" in heads(machine, (row,))
     timing = timing_of(machine, controller, 1e5, 1)
     assert not list(as_it_runs(loops, law, timing))
     # one that holds there: nothing to fail, and said all the same

@@ -206,7 +206,7 @@ def test_a_point_beyond_the_schedule_is_left_out_and_fails(folder):
     content = json.loads((folder / "lpv.json").read_text())
     content["scheduling"]["grid"] = [value / 2 for value in content["scheduling"]["grid"]]
     (folder / "half.json").write_text(json.dumps(content))
-    done = call(folder, "verify", "rig.toml", "--controller", "half.json")
+    done = call(folder, "verify", "rig.toml", "--controller", "half.json", "--details")
     assert done.exit_code == 1
     assert (
         "Not judged, which does not pass: twice nominal pressure; the schedule does not cover them"

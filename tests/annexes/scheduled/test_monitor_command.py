@@ -123,7 +123,7 @@ def test_a_wrong_pressure_is_seen(place):
         point=replace(record.point, seal_pressure=0.67 * record.point.seal_pressure, label=""),
     )
     write_record(wrong, folder / "wrong.h5")
-    done = call("monitor", name, folder / "pid.json", folder / "wrong.h5")
+    done = call("monitor", name, folder / "pid.json", folder / "wrong.h5", "--details")
     assert done.exit_code == 1 and "outside the estimate" in done.stdout, done.stdout
 
 
@@ -141,5 +141,5 @@ def test_refusals(place, tmp_path):
         done.exit_code == 2 and "one parameter" in done.stderr and not (tmp_path / "code").exists()
     )
     write_record(record.select([n for n in record.signals if n[:2] != "e_"]), tmp_path / "still.h5")
-    done = call("monitor", name, folder / "pid.json", tmp_path / "still.h5")
+    done = call("monitor", name, folder / "pid.json", tmp_path / "still.h5", "--details")
     assert done.exit_code == 1 and "nothing can be said" in done.stdout

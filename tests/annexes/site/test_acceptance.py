@@ -211,7 +211,7 @@ def test_the_command_writes_the_page_to_sign(tmp_path):
     amb.write_record(record(), files["run.h5"])
     amb.save_machine(machine(), files["m.toml"])
     call = ["accept", files["m.toml"], files["law.json"], files["run.h5"]]
-    printed = CliRunner().invoke(main, [*call, "-o", files["page.html"], "--all"])
+    printed = CliRunner().invoke(main, [*call, "-o", files["page.html"], "--all", "--details"])
     assert printed.exit_code == 0, printed.output
     assert "Measured peak sensitivity" in printed.output
     page = (tmp_path / "page.html").read_text(encoding="utf-8")

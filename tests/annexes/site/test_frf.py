@@ -153,5 +153,5 @@ def test_refusals(place, tmp_path):
     rows = np.array([n[:2] == "y_" for n in weak.signals])[:, None]
     noisy = weak.values + rows * 3e-5 * np.random.default_rng(0).standard_normal(weak.values.shape)
     write_record(replace(weak, values=noisy), tmp_path / "noisy.h5")
-    done = call("frf", name, tmp_path / "noisy.h5")
+    done = call("frf", name, tmp_path / "noisy.h5", "--details")
     assert done.exit_code == 1 and "hardly known" in done.stdout

@@ -248,10 +248,10 @@ def test_a_tour_from_lift_off_to_code(tour, server, folder):
     assert saved["status"] == "verified"
     # judge, accept, write code
     go(page, "envelope")
-    assert "every check" in job(page, "Verify", "verify")
+    assert "PASSED" in job(page, "Verify", "verify")
     go(page, "acceptance")
     page.locator("[name=controller]").select_option("pid.json")
-    assert "The loop that was measured" in job(page, "Measure and judge", "accept")
+    assert "The measured loop is" in job(page, "Measure and judge", "accept")
     go(page, "deploy")
     page.locator("[name=rate]").fill("10000")
     job(page, "Export", "export")

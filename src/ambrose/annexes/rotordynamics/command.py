@@ -22,10 +22,12 @@ from ambrose.terminal import (
     kept_page,
     load,
     load_controller,
+    one_screen,
     print_table,
     progress_shown,
     say,
     say_json,
+    say_verdict,
 )
 
 if TYPE_CHECKING:
@@ -95,6 +97,7 @@ def lateral_command(
     """
     from ambrose.annexes.rotordynamics.analysis import lateral
     from ambrose.annexes.rotordynamics.comparison import compare, read_theirs
+    from ambrose.annexes.rotordynamics.page import verdict_words
     from ambrose.annexes.rotordynamics.standard import RPM
 
     description = load(machine, magnets=False)
@@ -124,22 +127,30 @@ def lateral_command(
         sides = {} if comparison is None else {"beside": comparison.to_dict()}
         say_json(dict(result.to_dict()) | sides)
     else:
+        shown = [item for item in result.items if item.value is not None or item.passed is not None]
         rows = [
             (
                 item.title,
                 value_in_words(item),
                 "-" if item.limit is None else f"{item.relation} {item.limit:.4g}",
-                "-" if item.passed is None else "holds" if item.passed else "fails",
+                "-" if item.passed is None else "meets" if item.passed else "fails",
             )
-            for item in result.items
-            if item.value is not None or item.passed is not None
+            for item in shown
         ]
-        print_table(f"{description.name}: lateral analysis", ("item", "value", "limit", ""), rows)
+        marks = ["red" if item.passed is False else "" for item in shown]
+        title = f"{description.name}: lateral analysis"
+        print_table(title, ("item", "value", "limit", ""), rows, marks)
         if comparison is not None:
             print_comparison(comparison)
+        left_out = [item for item in result.items if item.left_out]
+        say_verdict(f"{verdict_words(result)}.")
+        if one_screen() is not None and left_out:
+            titles = "; ".join(item.title for item in left_out)
+            say(f"Not checked, {len(left_out)} clauses: {titles}.")
+            left_out = []
         for item in result.items:
-            if item.passed is False or item.left_out:
-                verdict = "not judged" if item.left_out else "fails"
+            if item.passed is False or item in left_out:
+                verdict = "not checked" if item.left_out else "fails"
                 say(f"{verdict}: {item.title}: {item.note}")
         for note in result.notes:
             say(note)

@@ -24,6 +24,7 @@ from ambrose.annexes.rotordynamics.response import Response, Separation
 from ambrose.annexes.rotordynamics.result import Item, Lateral, not_finite
 from ambrose.annexes.rotordynamics.stations import Layout
 from ambrose.core.presentation import with_unit
+from ambrose.law.loop import timing_in_words
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
@@ -496,6 +497,23 @@ _BESIDE = (
 )
 
 
+def verdict_words(result: Lateral) -> str:
+    """The verdict of a lateral analysis: how many requirements are met, which are not, and which
+    have no known value.
+    """
+    judged = [item for item in result.items if item.passed is not None]
+    failed = [item.title for item in judged if not item.passed]
+    words = (
+        f"{len(failed)} of {len(judged)} requirements {'is' if len(failed) == 1 else 'are'} not "
+        f"met: {'; '.join(failed)}"
+        if failed
+        else f"All {len(judged)} requirements are met"
+    )
+    if unknown := [item.title for item in result.items if item.unjudged]:
+        words += f". Not checked, value unknown: {'; '.join(unknown)}"
+    return words
+
+
 def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date: str = "") -> Page:
     """The report of a ``Lateral``; comparison: beside what it is shown; date: ISO (today if
     empty).
@@ -555,7 +573,9 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
         ("Machine file", f"SHA-256 of its values {machine_hash(result.machine)}"),
         (
             "Controller",
-            f"{result.controller}; {result.timing}" if controlled else "none: journal bearings",
+            f"{result.controller}; {timing_in_words(result.timing)}"
+            if controlled
+            else "none: journal bearings",
         ),
         ("Operating point", f"{result.point}{_judged_elsewhere(result)}"),
         ("Speeds", running),
@@ -564,17 +584,7 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
     if result.density is not None:
         given = f"{result.density:.4g} kg/m³, mean, for the screening of Level I"
         facts = (*facts, ("Gas density", given))
-    failed = [item for item in result.items if item.passed is False]
-    judged = [item for item in result.items if item.passed is not None]
-    words = (
-        f"all {len(judged)} judged rows hold"
-        if not failed
-        else f"{len(failed)} of {len(judged)} judged rows "
-        + ("fails: " if len(failed) == 1 else "fail: ")
-        + "; ".join(item.title for item in failed)
-    )
-    if unjudged := [item.title for item in result.items if item.unjudged]:
-        words += f"; not judged, since the value is not known: {'; '.join(unjudged)}"
+    words = verdict_words(result)
     drawing = Figure("Rotor and its parts", machine_drawing(result.machine))
     opening = Section("Rotor", "", (drawing,), (rotor_table(result),))
     summary, *rest = sections

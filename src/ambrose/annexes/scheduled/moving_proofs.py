@@ -366,11 +366,12 @@ def unproved(machine: Machine, motion: Motion) -> str | None:
         return None
     known = motion.pressure_rate is not None or machine.operation.pressure_rate is not None
     remedy = (
-        "the loop must hold every point, with a law that is fixed or scheduled over pressure"
+        "It needs a loop that is stable at every point, with a controller that is fixed or "
+        "scheduled over pressure."
         if known
-        else "give --pressure-rate or the file's pressure_rate"
+        else "Use --pressure-rate, or set pressure_rate."
     )
-    return f"Nothing is proved for a seal pressure that changes: {remedy}."
+    return f"Not checked: changing seal pressure. {remedy}"
 
 
 def _along_pressure(

@@ -26,6 +26,7 @@ from ambrose.terminal import (
     progress_shown,
     say,
     say_json,
+    say_verdict,
 )
 
 # `ambrose accept`.
@@ -65,6 +66,7 @@ def accept(
     outer end of the 95 % intervals. Exit status 1: measured, but a check failed.
     """
     from ambrose.annexes.site.acceptance import accept as accepted
+    from ambrose.law.loop import timing_in_words
 
     description = load(machine)
     law = load_controller(controller, description)
@@ -82,7 +84,7 @@ def accept(
             print_checks(loop.checks, everything)
             for note in loop.checks.notes:
                 say(note)
-        say(f"The loop that was measured is {result.timing}.")
+        say(f"The measured loop is {timing_in_words(str(result.timing))}.")
         if output is not None and failure is None:
             say(f"Page: {output}")
     if failure is not None:
@@ -684,7 +686,8 @@ def retune(
         rows = [(step.title, _WORDS[step.passed], step.words) for step in done.steps]
         marks = ["red" if step.passed is False else "" for step in done.steps]
         print_table(f"Retuning of {done.given.name}", ("step", "verdict", "found"), rows, marks)
-        say(f"{done.text[:1].upper()}{done.text[1:]}.")
+        text = f"{done.text[:1].upper()}{done.text[1:]}."
+        say_verdict(text, in_full=text)
         if failure is None:
             say(f"Page: {page}")
     if failure is not None:

@@ -23,6 +23,7 @@ from ambrose.identification.frf import IN_WORDS
 from ambrose.identification.frf_spectral import Frf
 from ambrose.judge.checks import Check, Checks, Curve, Verification, required_line, zone_lines
 from ambrose.law.law import law_of
+from ambrose.law.loop import timing_in_words
 from ambrose.machine.criteria import SENSITIVITY
 from ambrose.machine.file.toml import machine_hash
 from ambrose.model.effects import magnet
@@ -77,7 +78,7 @@ def acceptance_page(accepted: Acceptance, *, date: str = "") -> Page:
     digest = law_of(accepted.controller).digest
     rows = (
         ("Machine file", accepted.machine.name, Cell("", detail=machine_hash(accepted.machine))),
-        ("Controller", f"{accepted.timing}", Cell("", detail=digest)),
+        ("Controller", timing_in_words(f"{accepted.timing}"), Cell("", detail=digest)),
         *(("Record", name, Cell("", detail=sha256)) for name, sha256 in accepted.records),
     )
     sections.append(
@@ -410,7 +411,7 @@ def frf_page(found: Responses, *, date: str = "") -> Page:
         tables.machine_fact(found.machine),
         ("Records", ", ".join(found.records)),
         ("Method", methods),
-        ("Loop that was modelled", found.timing),
+        ("Loop that was modelled", timing_in_words(str(found.timing))),
         ("Operating points", "; ".join(point.label for point in found.points)),
     )
     good = "nothing found in channels and limits"
@@ -616,7 +617,7 @@ def retuning_page(done: Retuning, *, date: str = "") -> Page:
         done.machine,
         tuple(sections),
         (),
-        (tables.machine_fact(done.given), ("Loop", str(done.timing))),
+        (tables.machine_fact(done.given), ("Loop", timing_in_words(str(done.timing)))),
         date,
         result=result,
     )

@@ -22,6 +22,7 @@ from ambrose.terminal import (
     progress_shown,
     say,
     say_json,
+    say_verdict,
 )
 
 if TYPE_CHECKING:
@@ -195,12 +196,14 @@ def _map(
         heads = ("area", "bias", "ratio", "S_o", "copper loss", "volt-amperes", "what binds")
         print_table(f"{machine.name}: sizes over the machine file's", heads, cells)
         if knee is None:
-            say("No size of these meets all requirements; try larger ones, or relax what binds.")
+            none = "No size meets all requirements. Try larger ones, or relax the binding one."
+            say_verdict(none, in_full=none)
         else:
-            say(
+            least = (
                 f"Least copper and iron: {knee.size.area:.3g} of the area at {knee.size.bias:.3g} "
                 "of the bias current."
             )
+            say_verdict(least, in_full=least)
             if result.at_edge:
                 say(
                     "It is the smallest, or the lowest bias, that was tried: ask for smaller "

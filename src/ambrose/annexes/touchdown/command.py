@@ -18,6 +18,7 @@ from ambrose.terminal import (
     progress_shown,
     say,
     say_json,
+    say_verdict,
 )
 
 
@@ -123,7 +124,8 @@ def landing_command(
                 f"{share:.3g} % of {drops:,} drops whirl within {result.duration:.3g} s (three "
                 f"turns against the spin, nonlinear model); {result.campaign.wall:.0f} s."
             )
-        say(f"Result: {verdict_text(result)}.")
+        verdict = verdict_text(result)
+        say_verdict(f"{verdict[:1].upper()}{verdict[1:]}.", in_full=f"Result: {verdict}.")
     if failure is not None:
         raise failure
     sys.exit(1 if result.passed is False else 0)

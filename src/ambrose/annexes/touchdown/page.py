@@ -479,9 +479,10 @@ def verdict_text(result: Landing) -> str:
     if not judged:
         return f"no limits in [bearing.touchdown.limits]; {over} for information"
     if not failed:
-        return f"all {len(judged)} rows with a limit hold over {over}"
+        return f"all {len(judged)} limits are met over {over}"
     names = "; ".join(f"{row.title} ({row.place})" for row in failed)
-    return f"{len(failed)} of {len(judged)} rows with a limit fail over {over}: {names}"
+    verb = "is" if len(failed) == 1 else "are"
+    return f"{len(failed)} of {len(judged)} limits {verb} not met over {over}: {names}"
 
 
 def cost_rows(result: Landing) -> tuple[tuple[str, str, str, str, str], ...]:
