@@ -121,6 +121,14 @@ class RunUnit:
     law: SynchronousLaw
     contact: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
+    @property
+    def beside(self) -> SynchronousLaw:
+        return self.law
+
+    @property
+    def axial(self) -> ControlBlock | None:
+        return None
+
     def __post_init__(self) -> None:
         n = len(self.base.inputs)
         if not len(self.contact):
