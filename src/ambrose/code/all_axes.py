@@ -8,19 +8,23 @@ is held by the axial part and never seen by the radial one.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 from ambrose.code.block.block import ControlBlock, render
 from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.c.code import Arithmetic, generate, literal
 from ambrose.code.c.compiled import CompiledLaw
-from ambrose.code.processor_build import Law, unit_of
+from ambrose.code.c.synchronous import generate_run
+from ambrose.code.interface import interface_of
+from ambrose.code.synchronous import Law, RunUnit
 from ambrose.core.checks import invalid
 from ambrose.core.statespace import StateSpace, append
 from ambrose.law.synchronous_block import SynchronousLaw
 
 _ROWS = 500  # samples of the self-test
+_SIDES = ("INPUTS", "OUTPUTS")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,30 +44,60 @@ class AllAxes:
     def beside(self) -> SynchronousLaw | None:
         return self.radial.beside
 
+    def single(self) -> AllAxes:
+        """With the tables of both parts in single precision."""
+        return AllAxes(self.radial.single(), self.axial.single())
+
+
+AnyLaw = Law | AllAxes
+
+
+def law_files(
+    law: AnyLaw,
+    arithmetic: Arithmetic,
+    provenance: Sequence[str] = (),
+    along: Sequence[str] = (),
+) -> dict[str, str]:
+    """The files of a unit by name, whatever it runs. along: the provenance of the part along the
+    shaft. Raises InvalidInput.
+    """
+    if isinstance(law, AllAxes):
+        return {
+            **law_files(law.radial, arithmetic, provenance),
+            **generate(law.axial, arithmetic, along),
+            **all_axes_files(law.radial, law.axial, arithmetic),
+        }
+    write: Any = generate_run if isinstance(law, RunUnit) else generate
+    return cast(dict[str, str], write(law, arithmetic, provenance))
+
 
 def all_axes_files(radial: Law, axial: ControlBlock, arithmetic: str) -> dict[str, str]:
     """<name>_axes.h, .c and _axes_test.c, which stand on the files of both parts."""
-    unit = unit_of(radial, arithmetic, {})  # type: ignore[arg-type]
-    base, zero = unit.base, literal(0.0, arithmetic) if arithmetic in {"double", "float"} else "0"
-    told = [f"{base.name}_real {one}" for one in unit.told]
+    law, own = AllAxes(radial, axial), interface_of(radial, arithmetic)
+    face, base = interface_of(law, arithmetic), radial.base
+    fixed = arithmetic.startswith("fixed")
+    zero, sizes = "0" if fixed else literal(0.0, arithmetic), f"{base.name.upper()}_AXES"
+    # where nothing was told, no pulse came
+    still = {"pulse": f"{zero} - 1", "flags": "0u"} | dict.fromkeys(base.told, zero)
     facts = {
-        **unit.driver_facts(),
+        "name": base.name,
+        "prefix": base.name.upper(),
+        "header": f"{own.name}.h",
+        "unit": own.memory,
+        "init": f"{own.name}_init",
         "axial": axial.name,
         "axial_prefix": axial.name.upper(),
         "sample_time": f"{base.sample_time:.9g}",
-        "n": len(base.inputs),
-        "p": len(base.outputs),
         "inputs": [*base.inputs, *axial.inputs],
         "outputs": [*base.outputs, *axial.outputs],
-        "told_parameters": "".join(f"{one}, " for one in told),
-        "told_names": "".join(f"{one}, " for one in unit.told),
-        "step_name": unit.step,
-        "sources": " ".join((*unit.sources, f"{axial.name}.c", f"{base.name}_axes.c")),
-        "zero": zero,
-        "zeros": "".join(f"{zero}, " for _ in unit.told),
+        "declared": face.declared(f"{base.name}_real", *(f"{sizes}_{n}" for n in _SIDES)),
+        "names": ", ".join(one.name for one in face.arguments),
+        "called": ", ".join(still.get(one.name, one.name) for one in face.arguments[:-1]),
+        "step_name": f"{own.name}_step",
+        "sources": " ".join(face.sources),
         "rows": _ROWS,
-        "fixed": arithmetic.startswith("fixed"),
-        "scales": _scales(unit.base, axial, fixed=arithmetic.startswith("fixed")),
+        "fixed": fixed,
+        "scales": _scales(base, axial, fixed=fixed),
     }
     ends = ("axes.h", "axes.c", "axes_test.c")
     return {f"{base.name}_{end}": render(f"{end}.j2", facts) for end in ends}
@@ -107,12 +141,8 @@ class CompiledAxes(CompiledLaw[AllAxes]):
             raise invalid("the axial block's clock", clock, asked, "export both together")
         if radial.name == axial.name:
             raise invalid("the axial block's name", axial.name, "its own", "export both together")
-        files = {
-            **generate(radial, arithmetic),
-            **generate(axial, arithmetic),
-            **all_axes_files(radial, axial, arithmetic),
-        }
-        super().__init__(AllAxes(radial, axial), files, arithmetic, compiler)
+        law = AllAxes(radial, axial)
+        super().__init__(law, law_files(law, arithmetic), arithmetic, compiler)
 
     @property
     def parts(self) -> tuple[StateSpace, StateSpace]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -46,8 +46,16 @@ class Argument:
     given: bool = True
 
     @property
-    def kind(self) -> np.dtype:
+    def kind(self) -> np.dtype[Any]:
         return np.dtype(KINDS[self.word])
+
+    def field(self, order: str) -> tuple[str, np.dtype[Any], tuple[int, ...]]:
+        """As a field of a sample in bytes of that order."""
+        return (
+            self.name,
+            np.dtype(f"{order}{KINDS[self.word]}"),
+            (self.count,) if self.count else (),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +72,20 @@ class Interface:
     places: Mapping[str, tuple[str, str, int]] = field(default_factory=dict)
     begin: str = "init"
 
+    def declared(
+        self, real: str, inputs: object, outputs: object, after: str = "error"
+    ) -> dict[str, str]:
+        """What stands in C after the memory, of the step and of the transfer "track". real: the
+        name of a number there; inputs, outputs: how many; after: where a line ends.
+        """
+        given = []
+        for one in self.arguments[:-1]:
+            word = one.word if one.word.startswith("unsigned") else real
+            text = f"const {word} {one.name}[{inputs}]," if one.count else f"{word} {one.name},"
+            given.append(text + ("\n    " if one.name == after else " "))
+        last, led = f"{real} current[{outputs}]", "".join(given).replace("unsigned flags, ", "")
+        return {"step": "".join(given) + last, "track": f"{led}const {last}"}
+
 
 class Law(Protocol):
     """What a unit runs: a block, blocks beside it, a block of the axis along the shaft."""
@@ -76,14 +98,19 @@ class Law(Protocol):
     def axial(self) -> ControlBlock | None: ...
 
 
+def parts_of(law: Law) -> tuple[Block, ...]:
+    """The blocks whose errors and currents are the unit's, in their order."""
+    return (law.base,) if law.axial is None else (law.base, law.axial)
+
+
 def interface_of(law: Law, arithmetic: str) -> Interface:
     """Of a law's unit in an arithmetic."""
     base, axial = law.base, law.axial
     name, beside = base.name, law.beside
     real, stored = TYPES[arithmetic]
-    parts = [base] if axial is None else [base, axial]
-    sources, unit, path = [f"{name}.c"], f"{name}_block", ""
-    places = {}
+    parts = parts_of(law)
+    sources, places = [f"{name}.c"], {}
+    unit, path = f"{name}_block", ""
     if beside is not None:
         sources += [f"{name}_sync.c", f"{name}_run.c"]
         unit, path = f"{name}_run", "base."

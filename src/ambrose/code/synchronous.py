@@ -125,6 +125,10 @@ class RunUnit:
     def beside(self) -> SynchronousLaw:
         return self.law
 
+    def single(self) -> RunUnit:
+        """With the controller's tables in single precision."""
+        return replace(self, base=self.base.single())
+
     @property
     def axial(self) -> ControlBlock | None:
         return None
@@ -149,6 +153,9 @@ class RunUnit:
                 f"the controller's, {self.base.sample_time:g} s",
                 "design the blocks for this controller",
             )
+
+
+Law = Base | RunUnit
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -700,7 +700,7 @@ class SupervisedBlock(ScheduledBlock):
 
     @property
     def told(self) -> tuple[str, ...]:
-        return (*ScheduledBlock.told.fget(self), "estimate", "half_width")
+        return (*(one.name for one in self.along.each), "estimate", "half_width")
 
     @property
     def transfers(self) -> bool:

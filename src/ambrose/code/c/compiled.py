@@ -28,7 +28,7 @@ from ambrose.code.block.block import Block, ControlBlock
 from ambrose.code.block.run import REASON_AT
 from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock
 from ambrose.code.c.code import WORDS, Arithmetic, Precision, generate, in_words
-from ambrose.code.interface import KINDS, TYPES, Interface, Law, interface_of
+from ambrose.code.interface import KINDS, TYPES, Interface, Law, interface_of, parts_of
 from ambrose.core.checks import InvalidInput, check_shape, invalid
 from ambrose.core.statespace import StateSpace
 from ambrose.law.supervision import Fault
@@ -284,7 +284,7 @@ class Words:
     whole: bool
 
     @classmethod
-    def of(cls, block: ControlBlock | ScheduledBlock, arithmetic: Arithmetic) -> Words:
+    def of(cls, block: Block, arithmetic: Arithmetic) -> Words:
         signal, stored = TYPES[arithmetic]
         if arithmetic in {"double", "float"}:
             ones = np.ones(len(block.inputs)), np.ones(len(block.outputs))
@@ -308,7 +308,7 @@ class Words:
 
 
 L = TypeVar("L", bound=Law)
-B = TypeVar("B", ControlBlock, ScheduledBlock)
+B = TypeVar("B", bound=ControlBlock | ScheduledBlock)
 
 
 class CompiledLaw(Generic[L]):
@@ -325,7 +325,7 @@ class CompiledLaw(Generic[L]):
     ) -> None:
         """Compiles the code. Raises InvalidInput where there is no C compiler, or it fails."""
         self.block, self.arithmetic = law, arithmetic
-        self.blocks: tuple[Any, ...] = tuple(part for part in (law.base, law.axial) if part)
+        self.blocks: tuple[Any, ...] = parts_of(law)
         self._words = tuple(Words.of(part, arithmetic) for part in self.blocks)
         interface = interface_of(law, arithmetic)
         self._code = Loaded(interface, {**files, "call.c": self._call(interface)}, compiler)
@@ -417,7 +417,7 @@ class _CompiledBlock(CompiledLaw[B]):
         self, block: B, arithmetic: Arithmetic = "double", compiler: str | None = None
     ) -> None:
         """Compiles the code. Raises InvalidInput where there is no C compiler, or it fails."""
-        if not isinstance(block, Block):
+        if not isinstance(cast(object, block), Block):
             remedy = "build_block and build_scheduled_block make one"
             raise invalid("block", f"of type {type(block).__name__}", "a controller block", remedy)
         super().__init__(block, generate(block, arithmetic), arithmetic, compiler)

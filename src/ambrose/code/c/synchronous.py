@@ -43,7 +43,7 @@ from ambrose.code.c.code import (
     with_identity,
 )
 from ambrose.code.c.compiled import Loaded
-from ambrose.code.interface import interface_of, synchronous_interface
+from ambrose.code.interface import TYPES, interface_of, synchronous_interface
 from ambrose.code.synchronous import (
     EVERY,
     SHARE,
@@ -428,7 +428,7 @@ def generate_run(
     else:
         files |= generate_synchronous(unit.law, sync, arithmetic, provenance)
     if arithmetic == "float":
-        unit = RunUnit(base.single(), unit.law, unit.contact)
+        unit = unit.single()
     facts = _facts(unit, arithmetic, provenance) | _self_test(unit, arithmetic)
     for end in ("_run.h", "_run.c", "_run_test.c"):
         files[f"{base.name}{end}"] = render(f"{end[1:]}.j2", facts)
@@ -439,18 +439,17 @@ def _facts(unit: RunUnit, arithmetic: str, provenance: Sequence[str]) -> dict[st
     base, word = unit.base, WORDS.get(arithmetic, 0)
     table = integer_table if word else real_table(arithmetic)
     supervised = isinstance(base, SupervisedBlock)
-    told = [one.name for one in base.along.each] if isinstance(base, ScheduledBlock) else []
-    told += ["estimate", "half_width"] if supervised else []
     touches = bool(np.isfinite(unit.contact).all())
     contact = contact_counts(unit, 1 << (word - 2)) if word else unit.contact
     floating = {"double": "double precision", "float": "single precision"}
+    n, real = len(base.inputs), TYPES[arithmetic][0]
     return {
         "name": base.name,
         "prefix": base.name.upper(),
         "sync": f"{base.name.upper()}_SYNC",
-        "n": len(base.inputs),
+        "n": n,
         "fixed": bool(word),
-        "type": f"int{word}_t" if word else arithmetic,
+        "type": real,
         "arithmetic": floating.get(arithmetic, f"fixed point, {word} bits"),
         "sample_time": f"{base.sample_time:.9g}",
         "provenance": [as_comment(line) for line in provenance] or ["provenance: not given"],
@@ -460,8 +459,9 @@ def _facts(unit: RunUnit, arithmetic: str, provenance: Sequence[str]) -> dict[st
         "contact": table(contact) if touches else "",
         "error_limit": "" if word else table(base.error_limit),
         "zero": "0" if word else literal(0.0, arithmetic),
-        "told_parameters": "".join(f"{arithmetic} {name}, " for name in told),
-        "told_arguments": "".join(f"{name}, " for name in told),
+        "declared": interface_of(unit, arithmetic).declared(real, n, n, "valid"),
+        "told": base.told,
+        "told_parameters": "".join(f"{real} {one}, " for one in base.told),
     }
 
 
