@@ -8,21 +8,23 @@ is held by the axial part and never seen by the radial one.
 
 from __future__ import annotations
 
-import ctypes
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
-import numpy as np
-
 from ambrose.code.block.block import ControlBlock, render
-from ambrose.code.block.run import padding_of
+from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.c.code import Arithmetic, generate, literal
-from ambrose.code.c.compiled import Words, load_block
-from ambrose.code.processor_build import Law, unit_of
+from ambrose.code.c.compiled import CompiledLaw
+from ambrose.code.c.synchronous import generate_run
+from ambrose.code.interface import interface_of
+from ambrose.code.synchronous import Law, RunUnit
 from ambrose.core.checks import invalid
 from ambrose.core.statespace import StateSpace, append
+from ambrose.law.synchronous_block import SynchronousLaw
 
 _ROWS = 500  # samples of the self-test
+_SIDES = ("INPUTS", "OUTPUTS")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,30 +36,68 @@ class AllAxes:
     radial: Law
     axial: ControlBlock
 
+    @property
+    def base(self) -> ControlBlock | ScheduledBlock:
+        return self.radial.base
+
+    @property
+    def beside(self) -> SynchronousLaw | None:
+        return self.radial.beside
+
+    def single(self) -> AllAxes:
+        """With the tables of both parts in single precision."""
+        return AllAxes(self.radial.single(), self.axial.single())
+
+
+AnyLaw = Law | AllAxes
+
+
+def law_files(
+    law: AnyLaw,
+    arithmetic: Arithmetic,
+    provenance: Sequence[str] = (),
+    along: Sequence[str] = (),
+) -> dict[str, str]:
+    """The files of a unit by name, whatever it runs. along: the provenance of the part along the
+    shaft. Raises InvalidInput.
+    """
+    if isinstance(law, AllAxes):
+        return {
+            **law_files(law.radial, arithmetic, provenance),
+            **generate(law.axial, arithmetic, along),
+            **all_axes_files(law.radial, law.axial, arithmetic),
+        }
+    write: Any = generate_run if isinstance(law, RunUnit) else generate
+    return cast(dict[str, str], write(law, arithmetic, provenance))
+
 
 def all_axes_files(radial: Law, axial: ControlBlock, arithmetic: str) -> dict[str, str]:
     """<name>_axes.h, .c and _axes_test.c, which stand on the files of both parts."""
-    unit = unit_of(radial, arithmetic, {})  # type: ignore[arg-type]
-    base, zero = unit.base, literal(0.0, arithmetic) if arithmetic in {"double", "float"} else "0"
-    told = [f"{base.name}_real {one}" for one in unit.told]
+    law, own = AllAxes(radial, axial), interface_of(radial, arithmetic)
+    face, base = interface_of(law, arithmetic), radial.base
+    fixed = arithmetic.startswith("fixed")
+    zero, sizes = "0" if fixed else literal(0.0, arithmetic), f"{base.name.upper()}_AXES"
+    # where nothing was told, no pulse came
+    still = {"pulse": f"{zero} - 1", "flags": "0u"} | dict.fromkeys(base.told, zero)
     facts = {
-        **unit.driver_facts(),
+        "name": base.name,
+        "prefix": base.name.upper(),
+        "header": f"{own.name}.h",
+        "unit": own.memory,
+        "init": f"{own.name}_init",
         "axial": axial.name,
         "axial_prefix": axial.name.upper(),
         "sample_time": f"{base.sample_time:.9g}",
-        "n": len(base.inputs),
-        "p": len(base.outputs),
         "inputs": [*base.inputs, *axial.inputs],
         "outputs": [*base.outputs, *axial.outputs],
-        "told_parameters": "".join(f"{one}, " for one in told),
-        "told_names": "".join(f"{one}, " for one in unit.told),
-        "step_name": unit.step,
-        "sources": " ".join((*unit.sources, f"{axial.name}.c", f"{base.name}_axes.c")),
-        "zero": zero,
-        "zeros": "".join(f"{zero}, " for _ in unit.told),
+        "declared": face.declared(f"{base.name}_real", *(f"{sizes}_{n}" for n in _SIDES)),
+        "names": ", ".join(one.name for one in face.arguments),
+        "called": ", ".join(still.get(one.name, one.name) for one in face.arguments[:-1]),
+        "step_name": f"{own.name}_step",
+        "sources": " ".join(face.sources),
         "rows": _ROWS,
-        "fixed": arithmetic.startswith("fixed"),
-        "scales": _scales(unit.base, axial, fixed=arithmetic.startswith("fixed")),
+        "fixed": fixed,
+        "scales": _scales(base, axial, fixed=fixed),
     }
     ends = ("axes.h", "axes.c", "axes_test.c")
     return {f"{base.name}_{end}": render(f"{end}.j2", facts) for end in ends}
@@ -74,37 +114,7 @@ def _scales(radial: object, axial: ControlBlock, *, fixed: bool) -> str:
 # five axes.
 
 
-_CALL = """#include <math.h>
-#include <stddef.h>
-#include "{name}_axes.h"
-typedef struct {{ {name}_axes *axes; int status; }} {name}_running;
-size_t {name}_axes_size(void);
-size_t {name}_axes_axial(void);
-int {name}_axes_call(void *running, const double *errors, const double *told, double *currents);
-size_t {name}_axes_size(void) {{ return sizeof({name}_axes); }}
-size_t {name}_axes_axial(void) {{ return offsetof({name}_axes, axial); }}
-int {name}_axes_call(void *running, const double *errors, const double *told, double *currents)
-{{
-    static const double metre[] = {{{error}}}, ampere[] = {{{current}}};
-    {name}_running *self = ({name}_running *)running;
-    {word} in[{m}], out[{p}];
-    int i;
-    (void)told;
-    for (i = 0; i < {m}; i++) in[i] = ({word}){counted};
-    self->status = (int){name}_axes_step(self->axes, in, NULL, out);
-    for (i = 0; i < {p}; i++) currents[i] = (double)out[i] * ampere[i];
-    return 0;
-}}
-"""
-
-
-class _Running(ctypes.Structure):
-    """What the C function gets first: its memory, and where it leaves the radial part's status."""
-
-    _fields_ = (("axes", ctypes.c_void_p), ("status", ctypes.c_int))
-
-
-class CompiledAxes:
+class CompiledAxes(CompiledLaw[AllAxes]):
     """A radial and an axial block as one compiled function, a ``law.law.AllAxesProgram``: what
     ``export --axial`` writes, in place of a controller on the rig.
     """
@@ -131,52 +141,8 @@ class CompiledAxes:
             raise invalid("the axial block's clock", clock, asked, "export both together")
         if radial.name == axial.name:
             raise invalid("the axial block's name", axial.name, "its own", "export both together")
-        self.blocks = (radial, axial)
-        self.arithmetic = arithmetic
-        self._words = tuple(Words.of(block, arithmetic) for block in self.blocks)
-        files = {
-            **generate(radial, arithmetic),
-            **generate(axial, arithmetic),
-            **all_axes_files(radial, axial, arithmetic),
-            "call.c": self._call_file(),
-        }
-        name = radial.name
-        sources = [f"{name}.c", f"{axial.name}.c", f"{name}_axes.c", "call.c"]
-        self._library = load_block(files, sources, compiler)
-        sizes = [self._library[f"{name}_axes_{what}"] for what in ("size", "axial")]
-        for function in sizes:
-            function.restype = ctypes.c_size_t
-        size, self._second = (function() for function in sizes)
-        self._memory = ctypes.create_string_buffer(size)
-        self._running = _Running(ctypes.addressof(self._memory), 0)
-        self._step = self._library[f"{name}_axes_call"]
-        self._step.argtypes = (ctypes.c_void_p,) * 4
-        self._library[f"{name}_axes_init"](self._memory)
-
-    def _call_file(self) -> str:
-        radial, axial = self.blocks
-        first, second = self._words
-        error, current = (
-            ", ".join(repr(float(value)) for value in np.concatenate(pair))
-            for pair in ((first.error, second.error), (first.current, second.current))
-        )
-        return _CALL.format(
-            name=radial.name,
-            error=error,
-            current=current,
-            word=first.word,
-            counted=first.counted,
-            m=len(radial.inputs) + len(axial.inputs),
-            p=len(radial.outputs) + len(axial.outputs),
-        )
-
-    @property
-    def sample_time(self) -> float:
-        return self.blocks[0].sample_time
-
-    @property
-    def delay(self) -> int:
-        return self.blocks[0].delay
+        law = AllAxes(radial, axial)
+        super().__init__(law, law_files(law, arithmetic), arithmetic, compiler)
 
     @property
     def parts(self) -> tuple[StateSpace, StateSpace]:
@@ -188,35 +154,3 @@ class CompiledAxes:
     def system(self) -> StateSpace:
         """Both side by side."""
         return append(*self.parts)
-
-    @property
-    def status(self) -> int:
-        """The bits of the radial part's last step."""
-        return self._running.status
-
-    @property
-    def entry(self) -> tuple[int, int]:
-        """As the rig asks of a native program."""
-        address = cast(int, ctypes.cast(self._step, ctypes.c_void_p).value)
-        return address, ctypes.addressof(self._running)
-
-    def begin(self, states: np.ndarray) -> None:
-        """Everything as after its first call, then the states (n,) of both."""
-        self._library[f"{self.blocks[0].name}_axes_init"](self._memory)
-        first = self.blocks[0].n_states
-        parts = (states[:first], states[first:])
-        starts = (0, self._second)
-        for block, words, values, start in zip(
-            self.blocks, self._words, parts, starts, strict=True
-        ):
-            kind = np.dtype(words.stored)
-            at = start + padding_of(block)[0] * kind.itemsize
-            memory: Any = np.frombuffer(memoryview(self._memory), kind, block.n_states, at)
-            memory[:] = words.counts(values, words.state)
-
-    def step(self, errors: np.ndarray) -> np.ndarray:
-        """One sample: currents (p,) [A] from errors (m,) [m]."""
-        inputs = np.array(errors, float)
-        currents = np.empty(sum(len(block.outputs) for block in self.blocks))
-        self._step(ctypes.addressof(self._running), inputs.ctypes.data, None, currents.ctypes.data)
-        return currents

@@ -15,16 +15,15 @@ import uuid
 import xml.etree.ElementTree as ET
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, get_args
 
-from ambrose.code.all_axes import AllAxes, all_axes_files
+from ambrose.code.all_axes import AnyLaw, law_files
 from ambrose.code.block.block import ControlBlock, check_identifier, render
 from ambrose.code.block.scheduled import ScheduledBlock
-from ambrose.code.c.code import Arithmetic, block_facts, generate
+from ambrose.code.c.code import Arithmetic, block_facts
 from ambrose.code.c.compiled import COMPILERS, build_library, build_probe, find_compiler
-from ambrose.code.c.synchronous import generate_run
-from ambrose.code.synchronous import RunUnit
+from ambrose.code.interface import interface_of, parts_of
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.version import __version__
 
@@ -61,8 +60,6 @@ FAULTS = (
     ("sync_input", "a reading is not usable"),
 )
 AnyBlock = ControlBlock | ScheduledBlock
-Beside = AnyBlock | RunUnit  # the latter with synchronous blocks beside it
-AnyLaw = Beside | AllAxes
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,31 +78,9 @@ class Variable:
     nominal: float | None = None
 
 
-def radial_of(law: AnyLaw) -> Beside:
-    """The law of the radial axes: all of it where there is no axis along the shaft."""
-    return law.radial if isinstance(law, AllAxes) else law
-
-
-def axial_of(law: AnyLaw) -> ControlBlock | None:
-    """The block of the axis along the shaft; None: there is none."""
-    return law.axial if isinstance(law, AllAxes) else None
-
-
-def base_of(law: AnyLaw) -> AnyBlock:
-    """The (radial) controller's block."""
-    radial = radial_of(law)
-    return radial.base if isinstance(radial, RunUnit) else radial
-
-
-def blocks_of(law: AnyLaw) -> tuple[AnyBlock, ...]:
-    """The blocks whose errors and currents are the FMU's, in their order."""
-    axial = axial_of(law)
-    return (base_of(law),) if axial is None else (base_of(law), axial)
-
-
 def transfers(law: AnyLaw) -> bool:
     """Whether it can follow given currents: a unit of all axes has no such step."""
-    return base_of(law).transfers and axial_of(law) is None
+    return law.base.transfers and law.axial is None
 
 
 def flags(block: AnyBlock) -> tuple[tuple[str, str], ...]:
@@ -127,12 +102,12 @@ def variables(law: AnyLaw) -> tuple[Variable, ...]:
     axis along the shaft], in the order of value references; errors, their flags and currents of
     that axis come last among theirs.
     """
-    block, beside = base_of(law), isinstance(radial_of(law), RunUnit)
+    block, beside = law.base, law.beside
     errors = [
-        one for item in blocks_of(law) for one in zip(item.inputs, item.error_limit, strict=True)
+        one for item in parts_of(law) for one in zip(item.inputs, item.error_limit, strict=True)
     ]
     currents = [
-        one for item in blocks_of(law) for one in zip(item.outputs, item.current_limit, strict=True)
+        one for item in parts_of(law) for one in zip(item.outputs, item.current_limit, strict=True)
     ]
     found = [Variable("time", "real", "independent", "s", "simulation time")]
     for name, limit in errors:
@@ -177,21 +152,21 @@ def variables(law: AnyLaw) -> tuple[Variable, ...]:
 
 def axial_flags(law: AnyLaw) -> tuple[tuple[str, str], ...]:
     """The status flags of the axis along the shaft, where there is one."""
-    if axial_of(law) is None:
+    if law.axial is None:
         return ()
     return tuple((f"axial_{name}", f"along the shaft: {text}") for name, text in FLAGS)
 
 
 def references(law: AnyLaw) -> dict[str, int]:
     """The first value reference of each group of variables, by the label that the C uses."""
-    block, order = base_of(law), {v.name: i for i, v in enumerate(variables(law))}
+    block, order = law.base, {v.name: i for i, v in enumerate(variables(law))}
     first = {"ERROR": block.inputs[0], "VALID": f"valid_{block.inputs[0]}", "TRACKING": "tracking"}
     first |= {"GIVEN": f"given_{block.outputs[0]}", "CURRENT": block.outputs[0]}
     first |= {name.upper(): name for name, _ in FLAGS}
     first["LAST"] = flags(block)[-1][0]
     if isinstance(block, ScheduledBlock):
         first["TOLD"] = block.along.name
-    if isinstance(radial_of(law), RunUnit):
+    if law.beside:
         first |= {"ANGLE": "angle", "TOUCHING": "contact", "BLOCKS_OFF": "blocks_off"}
         first |= {"FAULT": FAULTS[0][0], "FAULT_LAST": FAULTS[-1][0]}
     if along := axial_flags(law):
@@ -203,7 +178,7 @@ def model_description(law: AnyLaw, version: Version, token: str, text: str) -> s
     """modelDescription.xml. token: the GUID (2.0) or instantiation token (3.0); text: the model in
     one line.
     """
-    block = base_of(law)
+    block = law.base
     three, step = version == "3.0", repr(block.sample_time)
     root = ET.Element(
         "fmiModelDescription",
@@ -249,7 +224,7 @@ def model_description(law: AnyLaw, version: Version, token: str, text: str) -> s
 def build_description(law: AnyLaw) -> str:
     """sources/buildDescription.xml of FMI 3.0."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=base_of(law).name)
+    configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=law.base.name)
     files = ET.SubElement(configuration, "SourceFileSet", language="C99")
     for name in sources(law, "3.0"):
         ET.SubElement(files, "SourceFile", name=name)
@@ -258,10 +233,7 @@ def build_description(law: AnyLaw) -> str:
 
 def sources(law: AnyLaw, version: Version) -> tuple[str, ...]:
     """The files to compile."""
-    name, axial = base_of(law).name, axial_of(law)
-    beside = (f"{name}_sync.c", f"{name}_run.c") if isinstance(radial_of(law), RunUnit) else ()
-    along = () if axial is None else (f"{axial.name}.c", f"{name}_axes.c")
-    return (f"{name}.c", *beside, *along, f"fmi{version[0]}.c")
+    return (*interface_of(law, "double").sources, f"fmi{version[0]}.c")
 
 
 def _units(root: ET.Element, law: AnyLaw) -> None:
@@ -323,7 +295,7 @@ def _structure(root: ET.Element, law: AnyLaw, *, three: bool) -> None:
     """Outputs depend on inputs at the same instant only where the design assumes that currents are
     set at once.
     """
-    listed, late = variables(law), base_of(law).delay
+    listed, late = variables(law), law.base.delay
     direct = [i for i, v in enumerate(listed) if v.causality == "input"] if late == 0 else []
     outputs = [i for i, v in enumerate(listed) if v.causality == "output"]
     structure = ET.SubElement(root, "ModelStructure")
@@ -379,7 +351,7 @@ def generate_fmus(
     compiler, or it fails.
     """
     return {
-        f"{base_of(law).name}_fmi{v[0]}.fmu": generate_fmu(
+        f"{law.base.name}_fmi{v[0]}.fmu": generate_fmu(
             law, v, arithmetic, provenance, sources_only=sources_only
         )
         for v in get_args(Version)
@@ -399,13 +371,13 @@ def generate_fmu(
     """
     _check_names(law)
     if arithmetic == "float":
-        law = _single(law)
-    block, code = base_of(law), generate_sources(law, version, arithmetic, provenance)
+        law = law.single()
+    block, code = law.base, generate_sources(law, version, arithmetic, provenance)
     token = "{" + str(uuid.uuid5(_SPACE, "\n".join(code.values()))) + "}"
     code[f"fmi{version[0]}.c"] = code[f"fmi{version[0]}.c"].replace("TOKEN", token)
     text = (
-        f"Controller of {sum(len(item.inputs) for item in blocks_of(law))} errors to "
-        f"{sum(len(item.outputs) for item in blocks_of(law))} currents, sampled at "
+        f"Controller of {sum(len(item.inputs) for item in parts_of(law))} errors to "
+        f"{sum(len(item.outputs) for item in parts_of(law))} currents, sampled at "
         f"{1 / block.sample_time:.9g} Hz"
     )
     archive: dict[str, str | bytes] = {
@@ -421,59 +393,42 @@ def generate_fmu(
     return _zipped(archive)
 
 
-def _single(law: AnyLaw) -> AnyLaw:
-    """With the controller's tables in single precision."""
-    if isinstance(law, AllAxes):
-        return AllAxes(_single(law.radial), law.axial.single())  # type: ignore[arg-type]
-    if isinstance(law, RunUnit):
-        return replace(law, base=law.base.single())
-    return law.single()
-
-
 def generate_sources(
     law: AnyLaw, version: Version, arithmetic: Arithmetic, provenance: Sequence[str] = ()
 ) -> dict[str, str]:
     """The C of an FMU by name; in fmi2.c or fmi3.c the word TOKEN stands for the token."""
-    block, axial = base_of(law), axial_of(law)
-    radial = radial_of(law)
-    beside = isinstance(radial, RunUnit)
-    if isinstance(radial, RunUnit):
-        written = generate_run(radial, arithmetic, provenance)
-    else:
-        written = generate(radial, arithmetic, provenance)
-    if axial is not None:
-        written |= generate(axial, arithmetic, provenance)
-        written |= all_axes_files(radial, axial, arithmetic)
-    name, sync = block.name, f"{block.name.upper()}_SYNC"
-    end = "_run" if beside else ""
-    whole = end if axial is None else "_axes"
+    block, axial = law.base, law.axial
+    face = interface_of(law, arithmetic)
+    written = law_files(law, arithmetic, provenance, provenance)
+    sync = f"{block.name.upper()}_SYNC"
     facts = {
         **block_facts(block),
         "transfers": transfers(law),
         "fixed": arithmetic.startswith("fixed"),
         "token": "TOKEN",
         "references": references(law).items(),
-        "beside": beside,
+        "beside": bool(law.beside),
         "axial": "" if axial is None else axial.name,
         "error_lsb": _counts(law, "inputs"),
         "current_lsb": _counts(law, "outputs"),
         "files": " ".join(sources(law, version)),
-        "header": f"{name}{whole}.h",
+        "header": f"{face.name}.h",
         # the unit that is stepped, and what it is told besides: the pulse, and what the caller sees
-        "unit": f"{name}{whole or '_block'}",
-        "call": f"{name}{whole}",
+        "unit": face.memory,
+        "call": face.name,
         "size": "" if axial is None else "_AXES",
         "faults": "faults" if axial is None else "radial.faults",
-        "pulse": "memory_pulse(m), " if beside else "",
+        "pulse": "memory_pulse(m), " if law.beside else "",
         "marks": f"(m->contact ? {sync}_CONTACT : 0u) | (m->blocks_off ? {sync}_DISABLED : 0u), "
-        if beside
+        if law.beside
         else "",
-        "scheduled": isinstance(block, ScheduledBlock),
-        "parameter": block.along.name if isinstance(block, ScheduledBlock) else "",
+        "scheduled": bool(block.told),
+        "parameter": block.told[0] if block.told else "",
     }
     wrapper = f"fmi{version[0]}.c"
+    compiled = [name.replace(".c", end) for name in face.sources for end in (".h", ".c")]
     return {
-        **{file: written[file] for file in _files(law)},
+        **{name: written[name] for name in compiled},
         f"{block.name}_fmu.h": render("fmu_memory.h.j2", facts),
         wrapper: render(f"{wrapper}.j2", facts),
     }
@@ -483,26 +438,16 @@ def _counts(law: AnyLaw, side: str) -> str:
     """The names of what one count is worth, of all errors or currents."""
     return ", ".join(
         f"{block.name.upper()}_{name.upper()}_LSB"
-        for block in blocks_of(law)
+        for block in parts_of(law)
         for name in getattr(block, side)
     )
-
-
-def _files(law: AnyLaw) -> tuple[str, ...]:
-    """The controller's files that are compiled, or included."""
-    name, axial = base_of(law).name, axial_of(law)
-    ends = ("", "_sync", "_run") if isinstance(radial_of(law), RunUnit) else ("",)
-    stems = [f"{name}{end}" for end in ends]
-    if axial is not None:
-        stems += [axial.name, f"{name}_axes"]
-    return tuple(f"{stem}.{kind}" for stem in stems for kind in "hc")
 
 
 def _check_names(law: AnyLaw) -> None:
     """The variables' names differ from each other: a signal may not be called like a flag of the
     FMU.
     """
-    block, names = base_of(law), [v.name for v in variables(law)]
+    block, names = law.base, [v.name for v in variables(law)]
     for name in names:
         if names.count(name) > 1:
             raise invalid(
@@ -554,9 +499,9 @@ def check_compiler() -> str:
 
 
 def _page(law: AnyLaw, text: str, provenance: Sequence[str]) -> str:
-    block = base_of(law)
+    block = law.base
     late = "at once" if block.delay == 0 else f"{block.delay} sample(s) after the errors were set"
-    step = "one sample," if isinstance(radial_of(law), RunUnit) else "a whole multiple of"
+    step = "one sample," if law.beside else "a whole multiple of"
     lines = "".join(f"<li>{html.escape(line)}</li>" for line in provenance)
     rows = "".join(
         f"<tr><td>{html.escape(v.name)}</td><td>{v.causality}</td><td>{v.unit}</td><td>{html.escape(v.description)}</td></tr>"

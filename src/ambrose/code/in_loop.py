@@ -47,7 +47,7 @@ class TargetProgram:
         """Compiles and starts it; contraction: whether the compiler may round a product and a sum
         at once. Raises InvalidInput.
         """
-        if unit.beside:
+        if unit.law.beside:
             raise InvalidInput(
                 "the target's binary runs in the loop without synchronous blocks; leave them out "
                 "of the controller's file"
@@ -151,7 +151,7 @@ def target_program(
     unit: Unit, processor: Processor, *, contraction: bool = False
 ) -> TargetProgram | TargetSchedule:
     """A unit's binary on a processor, ready to run. Raises InvalidInput."""
-    kind = TargetSchedule if isinstance(unit.base, ScheduledBlock) else TargetProgram
+    kind = TargetSchedule if unit.base.told else TargetProgram
     return kind(unit, processor, contraction=contraction)
 
 
@@ -246,7 +246,7 @@ def simulate_on_target(
     check_room(unit, processor, target.flash, target.ram)
     how: dict[str, Any] = {"progress": progress, **run}
     # here first: what the rig refuses is refused before the emulator starts
-    kind: Any = CompiledBlock if unit.told == () else CompiledSchedule
+    kind: Any = CompiledSchedule if unit.base.told else CompiledBlock
     here = kind(block, target.arithmetic, compiler)
     host = simulate_scenario(machine, here, scenario, **{**how, "path": None})
     progress(f"starting the code on {processor.name}")

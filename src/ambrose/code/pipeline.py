@@ -8,14 +8,13 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.code.all_axes import AllAxes, all_axes_files
+from ambrose.code.all_axes import AllAxes, AnyLaw
 from ambrose.code.block.block import ControlBlock, build_block, check_limits
 from ambrose.code.block.cascade import build_cascade
 from ambrose.code.block.scheduled import (
@@ -26,7 +25,7 @@ from ambrose.code.block.scheduled import (
 )
 from ambrose.code.c.code import check_precision
 from ambrose.code.fmu import check_compiler
-from ambrose.code.processor_build import PROCESSORS, Law, unit_of
+from ambrose.code.processor_build import PROCESSORS, unit_of
 from ambrose.code.processor_trial import Trial, check_room, check_trial, try_unit
 from ambrose.code.sampled import (
     Deployment,
@@ -39,8 +38,8 @@ from ambrose.code.sampled import (
     sensitivity_peak,
     unmet_limits,
 )
-from ambrose.code.synchronous import Base, RunUnit, in_order
-from ambrose.code.targets import TARGETS, C, Files, Fmu, St, Target
+from ambrose.code.synchronous import Base, Law, RunUnit, in_order
+from ambrose.code.targets import TARGETS, C, Files, Fmu, Target
 from ambrose.core.checks import InvalidInput, UnstableSystem, invalid, same_clock
 from ambrose.core.presentation import Presented, with_unit
 from ambrose.core.statespace import StateSpace, rename
@@ -205,7 +204,7 @@ def _said(check: Check) -> str:
 # was written.
 
 
-def check_processor(target: C, block: Callable[[], Law]) -> None:
+def check_processor(target: C, block: Callable[[], Base]) -> None:
     """What can be refused of a trial before the loop is verified: options without a processor, a
     compiler or emulator that is not there, and a controller whose code alone is too large. block:
     makes it, unverified. Raises InvalidInput.
@@ -223,7 +222,7 @@ def check_processor(target: C, block: Callable[[], Law]) -> None:
         check_room(unit_of(block(), arithmetic), processor, target.flash, target.ram)
 
 
-def try_target(target: C, law: Law, files: Files, progress: Callable[[str], None]) -> Trial:
+def try_target(target: C, law: AnyLaw, files: Files, progress: Callable[[str], None]) -> Trial:
     """The files of a law, run on the target's processor. Raises InvalidInput."""
     processor = PROCESSORS[target.try_on or ""]
     texts = {name: text for name, text in files.items() if isinstance(text, str)}
@@ -422,48 +421,37 @@ def export(
             and isinstance(block, ScheduledBlock)
             and synthesis.scheduled is not None
         ):
-            same = replace(target, rate=1 / block.sample_time, delay_samples=block.delay)
-            try:
-                fixed, waiting = _deploy(other, machine, same, limits, progress)
-            except UnstableSystem as error:
-                raise UnstableSystem(f"the fallback: {error}") from error
-            beside = cast(Deployment, fixed)
+            beside, waiting = _deploy_beside(
+                "the fallback", block, other, machine, target, limits, progress
+            )
             stuck = math.inf if target.stuck_after is None else target.stuck_after
             band = target.pressure_error or 0.0
             watch = supervision_limits(
                 synthesis.scheduled, machine, target.pressure_rate, band, stuck
             )
-            block = supervise(block, cast(ControlBlock, waiting), watch)
-            lines = [*lines, "Fallback:", *provenance_lines(other, fixed)]
+            block = supervise(block, waiting, watch)
+            lines = [*lines, "Fallback:", *provenance_lines(other, beside)]
         judged: tuple[Checks, ...] = ()
-        law: ControlBlock | ScheduledBlock | RunUnit = block
-        if around and machine is not None and isinstance(target, C | Fmu | St):
+        law: Law = block
+        if around and machine is not None:
             runs = (
                 synthesis if isinstance(deployment, ScheduledDeployment) else deployment.controller
             )
             law, judged = judge_beside(around, machine, runs, block, progress, force=target.force)
-            write = partial(target.files_beside, law, lines)
-        else:
-            write = partial(target.files, synthesis, deployment, block, lines)
-        part = None
-        if along is None or machine is None:
-            files = write()
-        else:
-            part, writes = _axial_part(*along, machine.axial, block, progress)
-            if isinstance(target, Fmu):
-                files = target.files_of_all(AllAxes(law, part.block), lines)
-            else:
-                all_axes = all_axes_files(law, part.block, along[1].arithmetic)
-                files = {**write(), **writes(), **all_axes}
+        part: AxialPart | None = None
+        shaft: Sequence[str] = ()
+        if along is not None and machine is not None:
+            part, shaft = _axial_part(*along, machine.axial, block, progress)
+        unit = law if part is None else AllAxes(law, part.block)
+        files = target.files(unit, lines, shaft, (synthesis, deployment))
         difference, not_alike = None, ""
         if running is not None:
             # its loop is not judged again: it runs
-            as_it_is = replace(
-                target, rate=1 / block.sample_time, delay_samples=block.delay, force=True
+            as_it_is, described = replace(target, force=True), machine if target.cascade else None
+            as_deployed, old = _deploy_beside(
+                "what is replaced", block, running, described, as_it_is, limits, progress
             )
-            described = machine if isinstance(target, C) and target.form == "cascade" else None
-            as_deployed, old = _deploy(running, described, as_it_is, limits, progress)
-            before = as_it_is.files(running, as_deployed, old, ())
+            before = target.files(old, (), (), (running, as_deployed))
             own = f"{target.name}.c"
             try:
                 difference = parameter_difference(str(before[own]), str(files[own]))
@@ -586,19 +574,16 @@ def _axial_part(
     machine: Machine,
     radial: ControlBlock | ScheduledBlock,
     progress: Progress,
-) -> tuple[AxialPart, Callable[[], Files]]:
-    """The axial controller verified at the radial one's rate, and what writes its files."""
+) -> tuple[AxialPart, Sequence[str]]:
+    """The axial controller verified at the radial one's rate, and where it comes from."""
     progress("the axis along the shaft")
-    same = replace(target, rate=1 / radial.sample_time, delay_samples=radial.delay)
-    try:
-        deployment, block = _deploy(
-            synthesis, machine, same, _limits(synthesis, machine, same), progress
+    limits = _limits(synthesis, machine, target)
+    part = AxialPart(
+        *_deploy_beside(
+            "the axis along the shaft", radial, synthesis, machine, target, limits, progress
         )
-    except UnstableSystem as error:
-        raise UnstableSystem(f"the axis along the shaft: {error}") from error
-    part = AxialPart(cast(Deployment, deployment), cast(ControlBlock, block))
-    lines = provenance_lines(synthesis, part.deployment)
-    return part, partial(same.files, synthesis, part.deployment, part.block, lines)
+    )
+    return part, provenance_lines(synthesis, part.deployment)
 
 
 def _replaced(
@@ -691,7 +676,7 @@ def _check_target(synthesis: Synthesis, target: Target) -> None:
     if scheduled is not None and along is not None:
         if isinstance(target, C | Fmu):
             check_precision(target.arithmetic)
-        if isinstance(target, C) and target.form == "cascade":
+        if target.cascade:
             raise invalid(
                 "form",
                 "'cascade'",
@@ -738,7 +723,7 @@ def _deploy(
             else [assemble(machine, point) for point in machine.operation.envelope]
         )
         fixed = deploy(synthesis, dt, delay, plants=plants, **how)
-        if isinstance(target, C) and target.form == "cascade":
+        if target.cascade:
             guards["prewarp"] = target.prewarp
             return fixed, build_cascade(
                 fixed, synthesis.filters, machine, target.name, *limits, **guards
@@ -748,6 +733,26 @@ def _deploy(
     if not supervised:
         guards |= dict(zip(("told_limit", "rate_limit"), target.told(over.along), strict=True))
     return over, build_scheduled_block(over, target.name, *limits, **guards)
+
+
+def _deploy_beside(
+    called: str,
+    block: Base,
+    synthesis: Synthesis,
+    machine: Machine | None,
+    target: Target,
+    limits: tuple[ArrayLike, ArrayLike],
+    progress: Progress,
+) -> tuple[Deployment, ControlBlock]:
+    """A fixed controller of the same unit, at the clock of its block; called: what a refusal names.
+    Raises InvalidInput, UnstableSystem.
+    """
+    same = replace(target, rate=1 / block.sample_time, delay_samples=block.delay)
+    try:
+        found = _deploy(synthesis, machine, same, limits, progress)
+    except UnstableSystem as error:
+        raise UnstableSystem(f"{called}: {error}") from error
+    return cast(tuple[Deployment, ControlBlock], found)
 
 
 def bundled_machine(synthesis: Synthesis) -> Machine | None:

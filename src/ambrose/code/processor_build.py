@@ -20,12 +20,12 @@ from typing import Any, cast
 
 import numpy as np
 
+from ambrose.code.all_axes import AnyLaw, law_files
 from ambrose.code.block.block import ControlBlock, render
 from ambrose.code.block.run import padding_of
 from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock
-from ambrose.code.c.code import Arithmetic, generate, in_words, integer_table, literal, real_table
-from ambrose.code.c.synchronous import generate_run
-from ambrose.code.synchronous import RunUnit
+from ambrose.code.c.code import Arithmetic, in_words, integer_table, literal, real_table
+from ambrose.code.interface import KINDS, TYPES, Interface, interface_of
 from ambrose.core.checks import InvalidInput, invalid
 
 # The processors on which exported code can be tried: how each is compiled for, and what runs it.
@@ -234,11 +234,6 @@ def host(compiler: str) -> Processor:
 # sample of it is in bytes.
 
 
-_WORDS = {"double": "f8", "float": "f4", "fixed32": "i4", "fixed16": "i2"}
-_STORED = {"double": "f8", "float": "f4", "fixed32": "i8", "fixed16": "i4"}
-Law = ControlBlock | ScheduledBlock | RunUnit
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Unit:
     """The code of a law in one arithmetic.
@@ -247,7 +242,7 @@ class Unit:
     metre (m,) [m], ampere (p,) [A]: one count of an error and of a current.
     """
 
-    law: Law
+    law: AnyLaw
     arithmetic: Arithmetic
     files: Mapping[str, str]
     metre: np.ndarray
@@ -255,64 +250,43 @@ class Unit:
 
     @property
     def base(self) -> ControlBlock | ScheduledBlock:
-        return self.law.base if isinstance(self.law, RunUnit) else self.law
+        return self.law.base
 
     @property
-    def beside(self) -> bool:
-        """Whether synchronous blocks run beside the controller."""
-        return isinstance(self.law, RunUnit)
-
-    @property
-    def told(self) -> tuple[str, ...]:
-        """What a step is told besides the errors."""
-        base = self.base
-        if not isinstance(base, ScheduledBlock):
-            return ()
-        names = tuple(one.name for one in base.along.each)
-        return (*names, "estimate", "half_width") if isinstance(base, SupervisedBlock) else names
-
-    @property
-    def sources(self) -> tuple[str, ...]:
-        """The files that a machine runs."""
-        name = self.base.name
-        return (f"{name}.c", f"{name}_sync.c", f"{name}_run.c") if self.beside else (f"{name}.c",)
+    def interface(self) -> Interface:
+        """The arguments of its step."""
+        return interface_of(self.law, self.arithmetic)
 
     @property
     def self_test(self) -> str:
-        return f"{self.base.name}{'_run' if self.beside else ''}_test.c"
+        return f"{self.interface.name}_test.c"
 
     @property
     def step(self) -> str:
         """The function that runs once a sample."""
-        return f"{self.base.name}{'_run' if self.beside else ''}_step"
+        return f"{self.interface.name}_step"
 
     def given(self, order: str) -> np.dtype[Any]:
         """A sample as the processor takes it; order: of its bytes."""
-        word = f"{order}{_WORDS[self.arithmetic]}"
-        fields: list[Any] = [("error", word, (len(self.base.inputs),))]
-        fields += [(name, word) for name in self.told]
-        if self.beside:
-            fields += [("pulse", word), ("flags", f"{order}u4")]
-        return np.dtype([*fields, ("valid", "u1", (len(self.base.inputs),))])
+        return np.dtype([one.field(order) for one in self.interface.arguments if one.given])
 
     def answered(self, order: str) -> np.dtype[Any]:
         """What it answers: currents, status, faults of the synchronous blocks, instructions of the
         step, and how deep the stack was written [bytes].
         """
-        word = f"{order}{_WORDS[self.arithmetic]}"
         marks = [(name, f"{order}u4") for name in ("status", "faults", "instructions", "stack")]
-        return np.dtype([("current", word, (len(self.base.outputs),)), *marks])
+        return np.dtype([self.interface.arguments[-1].field(order), *marks])
 
     def stored(self, order: str) -> np.dtype[Any]:
         """A state in memory."""
-        return np.dtype(f"{order}{_STORED[self.arithmetic]}")
+        return np.dtype(f"{order}{KINDS[TYPES[self.arithmetic][1]]}")
 
     def counts(self, values: np.ndarray, unit: np.ndarray) -> np.ndarray:
         """Values as numbers of the code, to the nearest and within the word, as a converter has
         them.
         """
         scaled = np.asarray(values, float) / unit
-        kind = np.dtype(_WORDS[self.arithmetic])
+        kind = np.dtype(KINDS[TYPES[self.arithmetic][0]])
         if kind.kind == "f":
             return scaled.astype(kind)
         ends = np.iinfo(kind)
@@ -320,43 +294,33 @@ class Unit:
 
     def driver_facts(self) -> dict[str, Any]:
         """What the driver's template says of it."""
-        base, name = self.base, self.base.name
-        ending = "_run" if self.beside else ""
-        told = "".join(f"{one}, " for one in self.told)
-        if self.beside:
-            call = f"{self.step}(&running, pulse, error, valid, {told}flags, current)"
-        else:
-            call = f"{self.step}(&running, error, valid, {told}current)"
+        base, face = self.base, self.interface
+        names = "".join(f", {one.name}" for one in face.arguments)
         return {
-            "name": name,
-            "prefix": name.upper(),
-            "header": f"{name}{ending}.h",
-            "unit": f"{name}_run" if self.beside else f"{name}_block",
-            "block": "running.base" if self.beside else "running",
-            "beside": self.beside,
-            "told": self.told,
+            "name": base.name,
+            "prefix": base.name.upper(),
+            "header": f"{face.name}.h",
+            "unit": face.memory,
+            "block": "running.base" if self.law.beside else "running",
+            "beside": bool(self.law.beside),
+            "told": base.told,
+            "arguments": face.arguments,
             "ni": len(base.inputs),
             "no": len(base.outputs),
             "states": base.n_states,
             "low": padding_of(base)[0],
-            "init": f"{name}{ending}_init",
-            "step": call,
+            "init": f"{face.name}_init",
+            "step": f"{self.step}(&running{names})",
         }
 
 
 def unit_of(
-    law: Law, arithmetic: Arithmetic = "double", files: Mapping[str, str] | None = None
+    law: AnyLaw, arithmetic: Arithmetic = "double", files: Mapping[str, str] | None = None
 ) -> Unit:
     """The code of a law; files: its texts where they were written already. Raises InvalidInput, as
     ``generate`` does.
     """
-    base = law.base if isinstance(law, RunUnit) else law
-    if files is not None:
-        files = dict(files)
-    elif isinstance(law, RunUnit):
-        files = generate_run(law, arithmetic)
-    else:
-        files = generate(law, arithmetic)
+    base, files = law.base, law_files(law, arithmetic) if files is None else dict(files)
     metre, ampere = np.ones(len(base.inputs)), np.ones(len(base.outputs))
     if arithmetic not in {"double", "float"}:
         fixed = in_words(cast(ControlBlock, base), int(arithmetic.removeprefix("fixed")))
@@ -580,7 +544,7 @@ def build(unit: Unit, processor: Processor, folder: Path, contraction: bool = Fa
     flags = [*processor.flags, *_BASE, contract, *(_FREE[:2] if free else ())]
     counted = ["-fstack-usage", "-fcallgraph-info=su"] if free else []
     objects = []
-    for name in (*unit.sources, unit.self_test, *own):
+    for name in (*unit.interface.sources, unit.self_test, *own):
         std = ["-std=gnu99"] if name in own else []
         renamed = ["-Dmain=self_test"] if name == unit.self_test else []
         made = f"{name.removesuffix('.c')}.o"
@@ -603,7 +567,8 @@ def _footprint(
     unit: Unit, processor: Processor, folder: Path, symbols: Mapping[str, int]
 ) -> Footprint:
     sizes = _run(
-        [processor.tool("size"), *(f"{n.removesuffix('.c')}.o" for n in unit.sources)], folder
+        [processor.tool("size"), *(f"{n.removesuffix('.c')}.o" for n in unit.interface.sources)],
+        folder,
     )
     rows = [[int(v) for v in line.split()[:3]] for line in sizes.splitlines()[1:]]
     text, data, bss = (sum(row[i] for row in rows) for i in range(3))
@@ -650,7 +615,7 @@ def _deepest(
 
     library: what a function of the compiler's own takes with all that it calls (None: unknown).
     """
-    names = [*unit.sources, "memory.c"]
+    names = [*unit.interface.sources, "memory.c"]
     frames, calls = _graph([folder / f"{name.removesuffix('.c')}.ci" for name in names])
     outside: set[str] = set()
 
@@ -919,7 +884,7 @@ _DUE = ("as soon as they are known", "at the next sample")
 _NAMES = ("board.h", "main.c", "board_mps2.c", "mps2.ld")
 
 
-def bare_metal_files(law: Law, arithmetic: Arithmetic) -> dict[str, str]:
+def bare_metal_files(law: AnyLaw, arithmetic: Arithmetic) -> dict[str, str]:
     """The example's files by name: <name>_main.c, which knows no hardware, <name>_board.h, which
     says what it needs of it, and <name>_board_mps2.c and <name>_mps2.ld, a board of QEMU's.
     """
@@ -939,13 +904,8 @@ def bare_metal_files(law: Law, arithmetic: Arithmetic) -> dict[str, str]:
     if isinstance(base, SupervisedBlock):  # no monitor beside it
         told += [{"name": name, "value": number(-1.0)} for name in ("estimate", "half_width")]
     delay = base.delay
-    arguments = "".join(f"from->{one['name']}, " for one in told)
-    call = f"{unit.step}(&controller, from->error, from->valid, {arguments}current[k % SETS])"
-    if unit.beside:
-        call = (
-            f"{unit.step}(&controller, from->pulse, from->error, from->valid, {arguments}"
-            "from->flags, current[k % SETS])"
-        )
+    given = "".join(f"from->{one.name}, " for one in unit.interface.arguments if one.given)
+    call = f"{unit.step}(&controller, {given}current[k % SETS])"
     facts: dict[str, Any] = {
         **unit.driver_facts(),
         "step": call,
@@ -953,7 +913,7 @@ def bare_metal_files(law: Law, arithmetic: Arithmetic) -> dict[str, str]:
         "delay_text": _DUE[delay] if delay < len(_DUE) else f"{delay} samples later",
         "samples": SAMPLES,
         "patience": _PATIENCE_BARE_METAL,
-        "sources": " ".join(unit.sources),
+        "sources": " ".join(unit.interface.sources),
         "amplitude": real_table(arithmetic)(amplitude) if real else integer_table(amplitude),
         "minus_one": number(-1.0),
         "zero": number(0.0),
@@ -969,8 +929,8 @@ def bare_metal_files(law: Law, arithmetic: Arithmetic) -> dict[str, str]:
 
 def _turn(unit: Unit) -> int:
     """Samples of a turn in the middle of the first synchronous block's band; 0: there is none."""
-    law = unit.law
-    if not isinstance(law, RunUnit):
+    beside = unit.law.beside
+    if beside is None:
         return 0
-    low, high = law.law.blocks[0].band
-    return max(2, round(4 * math.pi / ((low + high) * law.base.sample_time)))
+    low, high = beside.blocks[0].band
+    return max(2, round(4 * math.pi / ((low + high) * beside.sample_time)))

@@ -24,7 +24,6 @@ from ambrose.code.processor_build import (
     host,
     version_of,
 )
-from ambrose.code.synchronous import RunUnit
 from ambrose.core.checks import InvalidInput
 from ambrose.core.presentation import Presented
 
@@ -104,13 +103,14 @@ def _told(unit: Unit, share: np.ndarray, rng: np.random.Generator) -> dict[str, 
 
 
 def _pulses(unit: Unit, count: int, share: np.ndarray) -> dict[str, Any]:
-    if not isinstance(unit.law, RunUnit):
+    beside = unit.law.beside
+    if beside is None:
         return {}
-    first, dt = unit.law.law.blocks[0], unit.base.sample_time
+    first, dt = beside.blocks[0], beside.sample_time
     low, high = first.band
     # a run-up within the first block's band, no faster than the blocks believe
     start = low + first.hysteresis + 0.1 * (high - low)
-    slope = min(0.2 * unit.law.law.fastest, 0.5 * (high - low) / (count * dt))
+    slope = min(0.2 * beside.fastest, 0.5 * (high - low) / (count * dt))
     speed = start + slope * dt * np.arange(count)
     turned = np.cumsum(speed) * dt / (2 * np.pi)
     passed = turned % 1.0
@@ -404,7 +404,7 @@ def _instructions(
         return found["instructions"].astype(int)
     limited = np.flatnonzero(found["status"] & 4)
     first = int(limited[0]) if len(limited) else 0
-    start = 0 if unit.beside else max(0, first - _LOGGED // 2)  # synchronous blocks need pulses
+    start = 0 if unit.law.beside else max(0, first - _LOGGED // 2)  # synchronous blocks need pulses
     with Link(unit, processor, program, counting=True) as link:
         link.steps(rows[start : first + _LOGGED // 2])
     return np.array(link.counted(), int)

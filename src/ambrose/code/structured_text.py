@@ -11,11 +11,12 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, get_args
 
 import numpy as np
 
+from ambrose.code.all_axes import AllAxes, AnyLaw
 from ambrose.code.block.block import ControlBlock, as_comment, render
 from ambrose.code.block.fixed_point import MANTISSA, floating_error
 from ambrose.code.block.run import (
@@ -348,7 +349,7 @@ def generate_run_structured_text(
     own = frozenset(_OWN_RUN.split()) | {f"{name}_{k}" for k in range(16) for name in _OF_BLOCK}
     check_names(base, own)
     files = generate_structured_text(base, precision, provenance)
-    unit = replace(unit, base=base.single()) if precision == "float" else unit
+    unit = unit.single() if precision == "float" else unit
     facts = {**text_facts(unit.base, precision, provenance), **_facts(unit, precision)}
     facts |= _run_test(unit, precision)
     return {
@@ -356,6 +357,19 @@ def generate_run_structured_text(
         f"{base.name}_run.st": render("run.st.j2", facts),
         f"{base.name}_run_test.st": render("run_test.st.j2", facts),
     }
+
+
+def unit_structured_text(
+    law: AnyLaw, precision: Precision = "double", provenance: Sequence[str] = ()
+) -> dict[str, str]:
+    """The files of a block, or of one with synchronous blocks beside it. Raises InvalidInput, also
+    for a unit of all axes.
+    """
+    if isinstance(law, AllAxes):
+        raise InvalidInput("structured text has no unit of all axes; write C or an FMU")
+    if isinstance(law, RunUnit):
+        return generate_run_structured_text(law, precision, provenance)
+    return generate_structured_text(law, precision, provenance)
 
 
 _OF_BLOCK = ("speeds", "drive_re", "drive_im", "amplitude_limit")

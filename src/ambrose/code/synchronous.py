@@ -121,6 +121,18 @@ class RunUnit:
     law: SynchronousLaw
     contact: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
+    @property
+    def beside(self) -> SynchronousLaw:
+        return self.law
+
+    def single(self) -> RunUnit:
+        """With the controller's tables in single precision."""
+        return replace(self, base=self.base.single())
+
+    @property
+    def axial(self) -> ControlBlock | None:
+        return None
+
     def __post_init__(self) -> None:
         n = len(self.base.inputs)
         if not len(self.contact):
@@ -141,6 +153,9 @@ class RunUnit:
                 f"the controller's, {self.base.sample_time:g} s",
                 "design the blocks for this controller",
             )
+
+
+Law = Base | RunUnit
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,17 +12,14 @@ from ambrose.options import Options, count, hertz, option, positive
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from ambrose.code.all_axes import AllAxes
-    from ambrose.code.block.block import ControlBlock
-    from ambrose.code.block.scheduled import ScheduledBlock
+    from ambrose.code.all_axes import AnyLaw
     from ambrose.code.c.code import Arithmetic, Precision
     from ambrose.code.sampled import Deployment, ScheduledDeployment
-    from ambrose.code.synchronous import RunUnit
     from ambrose.core.sampling import Method
     from ambrose.judge.result import Synthesis
     from ambrose.law.law import Scheduling
 
-    Block = ControlBlock | ScheduledBlock
+    Made = tuple[Synthesis, Deployment | ScheduledDeployment]
 
 Files = Mapping[str, "str | bytes"]
 # as code.processor.machines describes them
@@ -116,12 +113,19 @@ class Target(Options, ABC):
     @abstractmethod
     def files(
         self,
-        synthesis: Synthesis,
-        deployment: Deployment | ScheduledDeployment,
-        block: Block,
+        law: AnyLaw,
         lines: Sequence[str],
+        along: Sequence[str] = (),
+        made: Made | None = None,
     ) -> Files:
-        """{name: content} of the block; lines: where it comes from."""
+        """{name: content} of a unit; lines, along: where the controller and the one along the shaft
+        come from; made: the synthesis and what of it was sampled and judged.
+        """
+
+    @property
+    def cascade(self) -> bool:
+        """Whether a filter bank is written section by section."""
+        return False
 
     def check_beside(self) -> None:
         """Raises InvalidInput where this target holds no synchronous blocks."""
@@ -205,34 +209,25 @@ class C(Target):
         "Cortex-M board.",
     )
 
+    @property
+    def cascade(self) -> bool:
+        return self.form == "cascade"
+
     def files(
         self,
-        synthesis: Synthesis,
-        deployment: Deployment | ScheduledDeployment,
-        block: Block,
+        law: AnyLaw,
         lines: Sequence[str],
+        along: Sequence[str] = (),
+        made: Made | None = None,
     ) -> Files:
-        from ambrose.code.c.code import generate
+        from ambrose.code.all_axes import law_files
+        from ambrose.code.processor_build import bare_metal_files
 
-        return {**generate(block, self.arithmetic, lines), **self._example(block)}
+        files = law_files(law, self.arithmetic, lines, along)
+        return {**files, **bare_metal_files(law, self.arithmetic)} if self.bare_metal else files
 
     def check_beside(self) -> None:
         """It holds them in every arithmetic that it has."""
-
-    def files_beside(self, unit: RunUnit, lines: Sequence[str]) -> Files:
-        """{name: content} of the block with its synchronous blocks."""
-        from ambrose.code.c.synchronous import generate_run
-
-        files = generate_run(unit, self.arithmetic, lines)
-        return {**files, **self._example(unit)}
-
-    def _example(self, law: Block | RunUnit) -> Mapping[str, str]:
-        """The files of the example, where it is asked for."""
-        if not self.bare_metal:
-            return {}
-        from ambrose.code.processor_build import bare_metal_files
-
-        return bare_metal_files(law, self.arithmetic)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -244,14 +239,15 @@ class Mat(Target):
 
     def files(
         self,
-        synthesis: Synthesis,
-        deployment: Deployment | ScheduledDeployment,
-        block: Block,
+        law: AnyLaw,
         lines: Sequence[str],
+        along: Sequence[str] = (),
+        made: Made | None = None,
     ) -> Files:
         from ambrose.code.mat import generate_mat
 
-        return generate_mat(block, deployment, synthesis, lines)
+        synthesis, deployment = made or (None, None)
+        return generate_mat(law, deployment, synthesis, lines)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -268,29 +264,17 @@ class Fmu(Target):
 
     def files(
         self,
-        synthesis: Synthesis,
-        deployment: Deployment | ScheduledDeployment,
-        block: Block,
+        law: AnyLaw,
         lines: Sequence[str],
+        along: Sequence[str] = (),
+        made: Made | None = None,
     ) -> Files:
         from ambrose.code.fmu import generate_fmus
 
-        return generate_fmus(block, self.arithmetic, lines, sources_only=self.sources_only)
+        return generate_fmus(law, self.arithmetic, lines, sources_only=self.sources_only)
 
     def check_beside(self) -> None:
         """It holds them in every arithmetic that it has."""
-
-    def files_beside(self, unit: RunUnit, lines: Sequence[str]) -> Files:
-        """{name: content} of the block with its synchronous blocks."""
-        from ambrose.code.fmu import generate_fmus
-
-        return generate_fmus(unit, self.arithmetic, lines, sources_only=self.sources_only)
-
-    def files_of_all(self, law: AllAxes, lines: Sequence[str]) -> Files:
-        """{name: content} of all axes as one unit."""
-        from ambrose.code.fmu import generate_fmus
-
-        return generate_fmus(law, self.arithmetic, lines, sources_only=self.sources_only)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -303,23 +287,17 @@ class St(Target):
 
     def files(
         self,
-        synthesis: Synthesis,
-        deployment: Deployment | ScheduledDeployment,
-        block: Block,
+        law: AnyLaw,
         lines: Sequence[str],
+        along: Sequence[str] = (),
+        made: Made | None = None,
     ) -> Files:
-        from ambrose.code.structured_text import generate_structured_text
+        from ambrose.code.structured_text import unit_structured_text
 
-        return generate_structured_text(block, self.arithmetic, lines)
+        return unit_structured_text(law, self.arithmetic, lines)
 
     def check_beside(self) -> None:
         """It holds them in every arithmetic that it has."""
-
-    def files_beside(self, unit: RunUnit, lines: Sequence[str]) -> Files:
-        """{name: content} of the block with its synchronous blocks."""
-        from ambrose.code.structured_text import generate_run_structured_text
-
-        return generate_run_structured_text(unit, self.arithmetic, lines)
 
 
 TARGETS: Mapping[str, type[Target]] = {kind.to: kind for kind in (C, Mat, Fmu, St)}

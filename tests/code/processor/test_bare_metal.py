@@ -44,7 +44,7 @@ def run(law, arithmetic, folder, *more, changed=()):
     for name, text in files.items():
         (folder / name).write_text(text)
     name = unit.base.name
-    sources = [*unit.sources, f"{name}_main.c", f"{name}_board_mps2.c", "memory.c"]
+    sources = [*unit.interface.sources, f"{name}_main.c", f"{name}_board_mps2.c", "memory.c"]
     command = [m7.compiler, *m7.flags, "-std=c99", "-O2", "-ffp-contract=off", *WARNINGS, "-I."]
     command += ["-ffreestanding", "-fno-tree-loop-distribute-patterns", "-nostdlib", *more]
     command += ["-T", f"{name}_mps2.ld", *sources, "-lgcc", "-o", "example.elf"]
@@ -76,11 +76,11 @@ def readings(unit):
     amplitude = unit.counts(unit.base.error_limit / 800, unit.metre)
     rows["error"] = amplitude * height.astype(amplitude.dtype)
     rows["valid"] = 1
-    if unit.told:
-        rows[unit.told[0]] = np.mean(unit.base.axes[0])
+    if unit.base.told:
+        rows[unit.base.told[0]] = np.mean(unit.base.axes[0])
     if isinstance(unit.base, SupervisedBlock):
         rows["estimate"] = rows["half_width"] = -1
-    if unit.beside:
+    if unit.law.beside:
         # a pulse once a turn in the middle of the band
         low, high = unit.law.law.blocks[0].band
         turn = round(2 * np.pi / ((low + high) / 2 * unit.base.sample_time))
@@ -162,7 +162,7 @@ def test_the_example_is_delivered_where_it_is_asked_for():
     block = small_block()
     names = {"small_main.c", "small_board.h", "small_board_mps2.c", "small_mps2.ld"}
     assert set(bare_metal_files(block, "double")) == names
-    plain, more = (set(C(bare_metal=b).files(None, None, block, ())) for b in (False, True))
+    plain, more = (set(C(bare_metal=b).files(block, ())) for b in (False, True))
     assert more - plain == names
 
 

@@ -25,6 +25,7 @@ from ambrose.core.checks import (
 from ambrose.core.frequency import peak_gains
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
+from ambrose.law.synchronous_block import SynchronousLaw
 
 # Fills the templates of generated files (templates/*.j2).
 
@@ -160,6 +161,24 @@ class Block:
     @property
     def n_states(self) -> int:
         return self.increment.shape[-1]
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """What a step is told besides the errors."""
+        return ()
+
+    @property
+    def base(self) -> Self:
+        """As every law that a unit runs: the controller's block, here alone."""
+        return self
+
+    @property
+    def beside(self) -> SynchronousLaw | None:
+        return None
+
+    @property
+    def axial(self) -> ControlBlock | None:
+        return None
 
     @property
     def state_range(self) -> np.ndarray:

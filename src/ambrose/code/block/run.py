@@ -505,7 +505,7 @@ def diagonals_of(x: np.ndarray) -> list[int]:
     return [k for k in range(1 - len(x), len(x)) if np.diagonal(x, k).any()]
 
 
-def padding_of(block: ControlBlock | ScheduledBlock) -> tuple[int, int]:
+def padding_of(block: Block) -> tuple[int, int]:
     """How many places before and after the states the diagonals of A - I reach; a cascade has
     none.
     """
@@ -513,7 +513,7 @@ def padding_of(block: ControlBlock | ScheduledBlock) -> tuple[int, int]:
     return max(0, -min(offsets, default=0)), max(0, max(offsets, default=0))
 
 
-def increment_of(block: ControlBlock | ScheduledBlock) -> np.ndarray:
+def increment_of(block: Block) -> np.ndarray:
     """A - I (n, n), of a schedule what is the same at every point."""
     if isinstance(block, ScheduledBlock):
         return block.changes.fixed[: block.n_states, : block.n_states]

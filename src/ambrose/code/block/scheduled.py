@@ -338,6 +338,10 @@ class ScheduledBlock(Block):
     along: Scheduling = SPEED
 
     @property
+    def told(self) -> tuple[str, ...]:
+        return tuple(one.name for one in self.along.each)
+
+    @property
     def transfers(self) -> bool:
         return self.passes > 0
 
@@ -693,6 +697,10 @@ class SupervisedBlock(ScheduledBlock):
 
     fallback: ControlBlock
     watch: Limits
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        return (*(one.name for one in self.along.each), "estimate", "half_width")
 
     @property
     def transfers(self) -> bool:

@@ -53,6 +53,7 @@ from ambrose.code.block.run import (
     step_cost,
 )
 from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock
+from ambrose.code.interface import KINDS, TYPES, interface_of
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.scheduled import grid_points
 from ambrose.law.supervision import Fault, State
@@ -371,8 +372,8 @@ def generate(
 
 def code_types(arithmetic: str) -> dict[str, str]:
     """{type in the text: numpy's} of tables."""
-    words = {"double": "f8", "float": "f4", "fixed32": "i4", "fixed16": "i2"}
-    return {"real": words[arithmetic], "word": words[arithmetic], "uchar": "u1", "int32_t": "i4"}
+    word = KINDS[TYPES[arithmetic][0]]
+    return {"real": word, "word": word, "uchar": "u1", "int32_t": "i4"}
 
 
 def scheduled_tolerance(block: ScheduledBlock, run: Vectors, arithmetic: str) -> np.ndarray:
@@ -449,19 +450,18 @@ def _facts(
     block: ControlBlock | ScheduledBlock, arithmetic: str, provenance: Sequence[str]
 ) -> dict[str, Any]:
     """What header, source, self-test and report share."""
-    word = WORDS.get(arithmetic, 0)
-    types, floating = (
-        {"double": "double", "float": "float"},
-        {"double": "double precision", "float": "single precision"},
-    )
+    word, (real, stored) = WORDS.get(arithmetic, 0), TYPES[arithmetic]
+    floating = {"double": "double precision", "float": "single precision"}
+    sizes = (f"{block.name.upper()}_INPUTS", f"{block.name.upper()}_OUTPUTS")
     return {
         **block_facts(block),
         "scheduled": isinstance(block, ScheduledBlock),
         "fixed": bool(word),
         "word": word,
         "arithmetic": floating.get(arithmetic, f"fixed point, {word} bits"),
-        "type": types.get(arithmetic, f"int{word}_t"),
-        "state_type": types.get(arithmetic, f"int{2 * word}_t"),
+        "type": real,
+        "state_type": stored,
+        "declared": interface_of(block, arithmetic).declared(real, *sizes),
         "zero": "0" if word else literal(0.0, arithmetic),
         "largest": LARGEST.get(arithmetic, ""),
         "delay_text": _delay_text(block.delay),

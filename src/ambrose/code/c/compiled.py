@@ -16,7 +16,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,10 +24,11 @@ from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
 
-from ambrose.code.block.block import ControlBlock
-from ambrose.code.block.run import REASON_AT, padding_of
+from ambrose.code.block.block import Block, ControlBlock
+from ambrose.code.block.run import REASON_AT
 from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock
-from ambrose.code.c.code import Arithmetic, Precision, generate, in_words
+from ambrose.code.c.code import WORDS, Arithmetic, Precision, generate, in_words
+from ambrose.code.interface import KINDS, TYPES, Interface, Law, interface_of, parts_of
 from ambrose.core.checks import InvalidInput, check_shape, invalid
 from ambrose.core.statespace import StateSpace
 from ambrose.law.supervision import Fault
@@ -160,23 +161,27 @@ def _run(command: Sequence[str], folder: str, time_limit: float) -> tuple[int, s
     return process.returncode, message.decode("utf-8", "replace").strip()[:500]
 
 
-_FLAGS = ("-Wall", "-Wextra", "-pedantic", "-Werror")
+_FLAGS = ("-Wall", "-Wextra", "-pedantic", "-Werror", "-ffp-contract=off")
+_PLACES = """#include <stddef.h>
+#include "{name}.h"
+extern const size_t loaded_places[];
+const size_t loaded_places[] = {{sizeof({memory}){places}}};
+"""
 _CALL = """#include <math.h>
 #include <stddef.h>
 #include "{name}.h"
-typedef struct {{ {name}_block *block; double told[4]; int status; }} {name}_running;
-size_t {name}_size(void);
-int {name}_call(void *running, const double *errors, const double *told, double *currents);
-size_t {name}_size(void) {{ return sizeof({name}_block); }}
-int {name}_call(void *running, const double *errors, const double *told, double *currents)
+typedef struct {{ {memory} *memory; double told[4]; int status; }} called;
+int loaded_call(void *running, const double *errors, const double *told, double *currents);
+int loaded_call(void *running, const double *errors, const double *told, double *currents)
 {{
     static const double metre[] = {{{error}}}, ampere[] = {{{current}}};
-    {name}_running *self = ({name}_running *)running;
+    called *self = (called *)running;
     {word} in[{m}], out[{p}];
     int i;
+    (void)told;
     for (i = 0; i < {m}; i++) in[i] = ({word}){counted};
     for (i = 0; i < {d}; i++) self->told[i] = told[i];
-    self->status = (int){name}_step(self->block, in, NULL, {told}out);
+    self->status = (int){name}_step(self->memory, in, NULL, {told}out);
     for (i = 0; i < {p}; i++) currents[i] = (double)out[i] * ampere[i];
     return 0;
 }}
@@ -186,12 +191,83 @@ _ESTIMATE = (2, 3)  # places of an estimate and its half width among what is tol
 _COUNTED = "fmin(fmax(rint(errors[i] / metre[i]), {least:.0f}.0), {most:.0f}.0)"
 
 
+class Loaded:
+    """A unit's C code in this process: its memory, its functions by verb, and ``at`` the places of
+    its interface as arrays.
+    """
+
+    def __init__(
+        self,
+        interface: Interface,
+        files: Mapping[str, str],
+        compiler: str | None = None,
+        flags: Sequence[str] = _FLAGS,
+    ) -> None:
+        """Compiles the code. Raises InvalidInput where there is no C compiler, or it fails."""
+        self.interface = interface
+        chosen, remedy = find_compiler(compiler), "install one to run the C code here"
+        if chosen is None:
+            raise InvalidInput(
+                f"there is no C compiler {compiler or ' or '.join(COMPILERS)} on this computer; "
+                f"{remedy}"
+            )
+        places, memory = interface.places, interface.memory
+        offsets = "".join(f", offsetof({memory}, {place})" for place, *_ in places.values())
+        text = _PLACES.format(name=interface.name, memory=memory, places=offsets)
+        texts = {**files, "places.c": text}
+        sources = [name for name in texts if name in {*interface.sources, "places.c", "call.c"}]
+        code = build_library(chosen, texts, sources, flags, "give another compiler", "-lm")
+        self.library = load_library(code)
+        size, *starts = (ctypes.c_size_t * (1 + len(places))).in_dll(self.library, "loaded_places")
+        self.memory = ctypes.create_string_buffer(size)
+        self.at = {
+            name: np.frombuffer(memoryview(self.memory), KINDS[word], count, start)
+            for (name, (_, word, count)), start in zip(places.items(), starts, strict=True)
+        }
+
+    @property
+    def address(self) -> int:
+        return ctypes.addressof(self.memory)
+
+    def begin(self) -> None:
+        """Everything as after its first call."""
+        self._function(self.interface.begin)(ctypes.c_void_p(self.address))
+
+    def call(self, verb: str = "step", **given: Any) -> tuple[np.ndarray, int]:
+        """What a function answers and its status. given: its arguments by name, in its own numbers;
+        one left out is a null pointer, or 0.
+        """
+        arguments: list[Any] = [ctypes.c_void_p(self.address)]
+        last = np.empty(0)
+        for one in self.interface.arguments:
+            value = given.get(one.name)
+            if not one.count:
+                number = np.ctypeslib.as_ctypes_type(one.kind)
+                arguments.append(number(np.array(value or 0, one.kind).item()))
+            elif value is None and one.given:
+                arguments.append(None)
+            else:
+                last = np.empty(one.count, one.kind)
+                last[:] = 0 if value is None else value
+                arguments.append(last.ctypes.data_as(ctypes.c_void_p))
+        return last, self._function(verb)(*arguments)
+
+    def _function(self, verb: str) -> Any:
+        function = self.library[f"{self.interface.name}_{verb}"]
+        function.restype = ctypes.c_uint
+        return function
+
+
 class _Running(ctypes.Structure):
-    """What the C function gets first: its block, and where it leaves what it was told and the
+    """What the C function gets first: its memory, and where it leaves what it was told and the
     status of the last step.
     """
 
-    _fields_ = (("block", ctypes.c_void_p), ("told", ctypes.c_double * 4), ("status", ctypes.c_int))
+    _fields_ = (
+        ("memory", ctypes.c_void_p),
+        ("told", ctypes.c_double * 4),
+        ("status", ctypes.c_int),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,127 +276,151 @@ class Words:
     current (p,) [A], state [-].
     """
 
-    signal: type
-    stored: type
+    signal: str
+    stored: str
     error: np.ndarray
     current: np.ndarray
     state: float | np.ndarray
     whole: bool
 
     @classmethod
-    def of(cls, block: ControlBlock | ScheduledBlock, arithmetic: Arithmetic) -> Words:
+    def of(cls, block: Block, arithmetic: Arithmetic) -> Words:
+        signal, stored = TYPES[arithmetic]
         if arithmetic in {"double", "float"}:
-            real = np.float64 if arithmetic == "double" else np.float32
-            return cls(
-                real, real, np.ones(len(block.inputs)), np.ones(len(block.outputs)), 1.0, False
-            )
-        word = int(arithmetic.removeprefix("fixed"))
-        fixed = in_words(cast(ControlBlock, block), word)
+            ones = np.ones(len(block.inputs)), np.ones(len(block.outputs))
+            return cls(signal, stored, *ones, 1.0, False)
+        fixed = in_words(cast(ControlBlock, block), WORDS[arithmetic])
         one = 2.0**fixed.signal_bits
-        signal, stored = (np.int32, np.int64) if word == 32 else (np.int16, np.int32)
-        return cls(
-            signal,
-            stored,
-            block.error_limit / one,
-            block.current_limit / one,
-            2.0**-fixed.state_bits * block.state_range,
-            True,
-        )
+        state = 2.0**-fixed.state_bits * block.state_range
+        return cls(signal, stored, block.error_limit / one, block.current_limit / one, state, True)
 
     def counts(self, values: np.ndarray, unit: np.ndarray | float) -> np.ndarray:
         scaled = np.asarray(values, float) / unit
         return np.rint(scaled) if self.whole else scaled
 
     @property
-    def word(self) -> str:
-        """A signal's type in C."""
-        types = {"float64": "double", "float32": "float", "int32": "int32_t", "int16": "int16_t"}
-        return types[np.dtype(self.signal).name]
-
-    @property
     def counted(self) -> str:
         """C that makes errors[i], in metres, a number of the code, within its word."""
         if not self.whole:
             return "(errors[i] / metre[i])"
-        ends = np.iinfo(self.signal)
+        ends = np.iinfo(KINDS[self.signal])
         return _COUNTED.format(least=ends.min, most=ends.max)
 
-    def call(self, block: ControlBlock | ScheduledBlock) -> str:
-        """C that calls a step with errors [m] and currents [A] as numbers, whatever the code's
-        words.
-        """
-        word, counted = self.word, self.counted
-        d = len(block.axes) if isinstance(block, ScheduledBlock) else 0
-        told = "".join(f"({word})told[{i}], " for i in range(d))
-        if isinstance(block, SupervisedBlock):
-            told += "".join(f"({word})self->told[{i}], " for i in _ESTIMATE)
+
+L = TypeVar("L", bound=Law)
+B = TypeVar("B", bound=ControlBlock | ScheduledBlock)
+
+
+class CompiledLaw(Generic[L]):
+    """A law's C code in this process, as the rig runs a program: errors [m] and currents [A],
+    whatever the code's arithmetic; status: the bits of the last step.
+    """
+
+    def __init__(
+        self,
+        law: L,
+        files: Mapping[str, str],
+        arithmetic: Arithmetic = "double",
+        compiler: str | None = None,
+    ) -> None:
+        """Compiles the code. Raises InvalidInput where there is no C compiler, or it fails."""
+        self.block, self.arithmetic = law, arithmetic
+        self.blocks: tuple[Any, ...] = parts_of(law)
+        self._words = tuple(Words.of(part, arithmetic) for part in self.blocks)
+        interface = interface_of(law, arithmetic)
+        self._code = Loaded(interface, {**files, "call.c": self._call(interface)}, compiler)
+        self._running = _Running(self._code.address, (0.0, 0.0, math.nan, math.inf))
+        self._step = self._code.library["loaded_call"]
+        self._step.argtypes = (ctypes.c_void_p,) * 4
+        self._code.begin()
+
+    def _call(self, interface: Interface) -> str:
+        """C that calls the step with errors [m] and currents [A] as numbers, whatever its words."""
+        first = self._words[0]
         error, current = (
-            ", ".join(map(repr, values.tolist())) for values in (self.error, self.current)
+            [repr(value) for one in self._words for value in getattr(one, side).tolist()]
+            for side in ("error", "current")
         )
+        told = [f"({first.signal})self->told[{i}], " for i in self._told.values()]
         return _CALL.format(
-            name=block.name,
-            error=error,
-            current=current,
-            word=word,
-            counted=counted,
-            told=told,
-            d=d,
-            m=len(block.inputs),
-            p=len(block.outputs),
+            name=interface.name,
+            memory=interface.memory,
+            error=", ".join(error),
+            current=", ".join(current),
+            word=first.signal,
+            counted=first.counted,
+            told="".join(told),
+            d=sum(i not in _ESTIMATE for i in self._told.values()),
+            m=len(error),
+            p=len(current),
         )
 
+    @property
+    def _told(self) -> dict[str, int]:
+        """What the step is told, by its place."""
+        places = {"estimate": _ESTIMATE[0], "half_width": _ESTIMATE[1]}
+        return {name: places.get(name, i) for i, name in enumerate(self.block.base.told)}
 
-B = TypeVar("B", ControlBlock, ScheduledBlock)
+    @property
+    def sample_time(self) -> float:
+        return self.block.base.sample_time
+
+    @property
+    def delay(self) -> int:
+        return self.block.base.delay
+
+    @property
+    def status(self) -> int:
+        """The bits of the last step, of a unit of all axes the radial part's."""
+        return self._running.status
+
+    @property
+    def entry(self) -> tuple[int, int]:
+        """As the rig asks of a native program."""
+        address = cast(int, ctypes.cast(self._step, ctypes.c_void_p).value)
+        return address, ctypes.addressof(self._running)
+
+    def begin(self, states: np.ndarray) -> None:
+        """Everything as after its first call, then the states (n,), part by part."""
+        self._code.begin()
+        self.set_states(states)
+
+    def step(self, errors: np.ndarray) -> np.ndarray:
+        """One sample: currents (p,) [A] from errors (m,) [m]."""
+        given = np.array(errors, float)
+        currents = np.empty(sum(len(part.outputs) for part in self.blocks))
+        told = np.array(self._running.told)
+        addresses = (array.ctypes.data for array in (given, told, currents))
+        self._step(ctypes.addressof(self._running), *addresses)
+        return currents
+
+    def states(self) -> np.ndarray:
+        """The states (n,) as they stand in the code's memory, 1 being their bound."""
+        return np.concatenate([m.astype(float) * words.state for m, words in self._state_memory()])
+
+    def set_states(self, states: np.ndarray) -> None:
+        """Writes the states (n,) into the code's memory."""
+        for memory, words in self._state_memory():
+            memory[:] = words.counts(states[: len(memory)], words.state)
+            states = states[len(memory) :]
+
+    def _state_memory(self) -> Iterator[tuple[np.ndarray, Words]]:
+        """The states of every part where the code keeps them, with its words."""
+        for part, words in zip(self.blocks, self._words, strict=True):
+            yield self._code.at.get(f"states of {part.name}", np.zeros(0)), words
 
 
-class _Compiled(Generic[B]):
+class _CompiledBlock(CompiledLaw[B]):
     """What compiled fixed and scheduled blocks share."""
 
     def __init__(
         self, block: B, arithmetic: Arithmetic = "double", compiler: str | None = None
     ) -> None:
         """Compiles the code. Raises InvalidInput where there is no C compiler, or it fails."""
-        if not isinstance(block, ControlBlock | ScheduledBlock | SupervisedBlock):
+        if not isinstance(cast(object, block), Block):
             remedy = "build_block and build_scheduled_block make one"
             raise invalid("block", f"of type {type(block).__name__}", "a controller block", remedy)
-        self.block: B = block
-        self.arithmetic = arithmetic
-        files = generate(block, arithmetic)
-        self._words = Words.of(block, arithmetic)
-        texts = {**files, "call.c": self._words.call(block)}
-        self._library = load_block(texts, [f"{block.name}.c", "call.c"], compiler)
-        size = self._library[f"{block.name}_size"]
-        size.restype = ctypes.c_size_t
-        self._memory = ctypes.create_string_buffer(size())
-        self._running = _Running(ctypes.addressof(self._memory), (0.0, 0.0, math.nan, math.inf))
-        self._step = self._library[f"{block.name}_call"]
-        self._step.argtypes = (ctypes.c_void_p,) * 4
-        self._call("init")
-
-    @property
-    def sample_time(self) -> float:
-        return self.block.sample_time
-
-    @property
-    def delay(self) -> int:
-        return self.block.delay
-
-    @property
-    def status(self) -> int:
-        """The bits of the last step."""
-        return self._running.status
-
-    @property
-    def entry(self) -> tuple[int, int]:
-        """As the rig asks of a native program."""
-        return cast(int, ctypes.cast(self._step, ctypes.c_void_p).value), ctypes.addressof(
-            self._running
-        )
-
-    def begin(self, states: np.ndarray) -> None:
-        """Everything as after its first call, then the states (n,)."""
-        self._call("init")
-        self.set_states(states)
+        super().__init__(block, generate(block, arithmetic), arithmetic, compiler)
 
     def track(self, errors: np.ndarray, currents: np.ndarray) -> None:
         """Bumpless transfer to errors (m,) [m] and currents (p,) [A]. Raises InvalidInput for a
@@ -331,47 +431,14 @@ class _Compiled(Generic[B]):
                 "this block has no bumpless transfer: its states do not reach every output; begin "
                 "it at rest"
             )
-        kind = np.dtype(self._words.signal)
-        given = self._words.counts(errors, self._words.error).astype(kind)
-        meant = self._words.counts(currents, self._words.current).astype(kind)
-        self._call("track", _pointer(given), None, *self._told_argument(), _pointer(meant))
-
-    def step(self, errors: np.ndarray) -> np.ndarray:
-        """One sample: currents (p,) [A] from errors (m,) [m]."""
-        given, currents = np.empty(len(self.block.inputs)), np.empty(len(self.block.outputs))
-        given[:] = errors
-        told = np.array(self._running.told)
-        self._step(
-            ctypes.addressof(self._running), _pointer(given), _pointer(told), _pointer(currents)
-        )
-        return currents
-
-    def states(self) -> np.ndarray:
-        """The states (n,) as they stand in the code's memory, 1 being their bound."""
-        return self._state_memory().astype(float) * self._words.state
-
-    def set_states(self, states: np.ndarray) -> None:
-        """Writes the states (n,) into the code's memory."""
-        self._state_memory()[:] = self._words.counts(states, self._words.state)
-
-    def _state_memory(self) -> np.ndarray:
-        """The states where the code keeps them: first in the block, after the zeros that its
-        diagonals reach into.
-        """
-        before = padding_of(self.block)[0]
-        kind = np.dtype(self._words.stored)
-        return np.frombuffer(
-            memoryview(self._memory), kind, self.block.n_states, before * kind.itemsize
-        )
-
-    def _told_argument(self) -> tuple[Any, ...]:
-        return ()
-
-    def _call(self, verb: str, *arguments: Any) -> Any:
-        return self._library[f"{self.block.name}_{verb}"](self._memory, *arguments)
+        words = self._words[0]
+        given = words.counts(errors, words.error)
+        meant = words.counts(currents, words.current)
+        told = {name: self._running.told[i] for name, i in self._told.items()}
+        self._code.call("track", error=given, current=meant, **told)
 
 
-class CompiledBlock(_Compiled[ControlBlock]):
+class CompiledBlock(_CompiledBlock[ControlBlock]):
     """A block's C code in this process. errors [m] and currents [A], whatever the code's
     arithmetic.
 
@@ -389,7 +456,7 @@ class CompiledBlock(_Compiled[ControlBlock]):
         return np.array([self.step(row) for row in e]).reshape(len(e), len(self.block.outputs))
 
 
-class CompiledSchedule(_Compiled[ScheduledBlock]):
+class CompiledSchedule(_CompiledBlock[ScheduledBlock]):
     """A scheduled block's C code in this process: errors [m] and speeds [rad/s] or pressures [Pa]
     to currents [A].
 
@@ -459,14 +526,6 @@ class CompiledSchedule(_Compiled[ScheduledBlock]):
             currents[k] = self.step(e[k])
         return currents
 
-    def _told_argument(self) -> tuple[Any, ...]:
-        kind = ctypes.c_double if self.arithmetic == "double" else ctypes.c_float
-        told = [
-            *self._running.told[: len(self.block.axes)],
-            *(self.estimate if isinstance(self.block, SupervisedBlock) else ()),
-        ]
-        return tuple(kind(value) for value in told)
-
 
 def read_law(code: CompiledBlock | CompiledSchedule, at: Any = None) -> StateSpace:
     """The law that the running code follows: its states are set one by one, its inputs too, and one
@@ -512,23 +571,6 @@ def _response(
         "the code limits its currents (or clamps what it is told) however small the step; give "
         "larger limits, stay in its range"
     )
-
-
-def _pointer(values: np.ndarray) -> Any:
-    return values.ctypes.data_as(ctypes.c_void_p)
-
-
-def load_block(files: dict[str, str], sources: list[str], compiler: str | None) -> Any:
-    """Generated files, compiled from their sources and loaded. Raises InvalidInput."""
-    remedy = "install one to run the C code here"
-    chosen = find_compiler(compiler)
-    if chosen is None:
-        raise InvalidInput(
-            f"there is no C compiler {compiler or ' or '.join(COMPILERS)} on this computer; "
-            f"{remedy}"
-        )
-    code = build_library(chosen, files, sources, _FLAGS, "give another compiler", libraries="-lm")
-    return load_library(code)
 
 
 # The self-test of exported C code, compiled and run on this computer.

@@ -8,7 +8,6 @@ process.
 
 from __future__ import annotations
 
-import ctypes
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -43,7 +42,8 @@ from ambrose.code.c.code import (
     real_table,
     with_identity,
 )
-from ambrose.code.c.compiled import COMPILERS, build_library, find_compiler, load_library
+from ambrose.code.c.compiled import Loaded
+from ambrose.code.interface import TYPES, interface_of, synchronous_interface
 from ambrose.code.synchronous import (
     EVERY,
     SHARE,
@@ -56,7 +56,7 @@ from ambrose.code.synchronous import (
     run_up_of,
     words_of,
 )
-from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.checks import invalid
 from ambrose.law.synchronous_block import (
     DECAY,
     JUMP,
@@ -69,7 +69,6 @@ from ambrose.law.synchronous_block import (
 )
 from ambrose.machine.ordinary_file import write_files
 
-_FLAGS = ("-Wall", "-Wextra", "-pedantic", "-Werror", "-ffp-contract=off")
 NEWTON = 12  # steps of the square root: enough for any amplitude up to 1e3 limits
 FAR = 1e9  # turns beyond which the angle stands still: years without a pulse
 
@@ -187,114 +186,69 @@ def _block(block: BlockLaw, table: Any, arithmetic: str, dt: float) -> dict[str,
     }
 
 
-class CompiledSynchronous:
+class _CompiledBeside:
+    """What the compiled blocks share, in floating point and in whole numbers."""
+
+    def __init__(
+        self, law: SynchronousLaw, arithmetic: str, files: dict[str, str], compiler: str | None
+    ) -> None:
+        self.law = law
+        self._code = Loaded(synchronous_interface(law, "sync", arithmetic), files, compiler)
+        self.begin()
+
+    def begin(self) -> None:
+        """At rest: no pulse yet, all off."""
+        self._code.begin()
+
+    def _step(
+        self,
+        pulse: float,
+        errors: ArrayLike,
+        currents: ArrayLike | None = None,
+        contact: bool = False,
+        saturated: bool = False,
+        enabled: bool = True,
+        unusable: bool = False,
+    ) -> tuple[np.ndarray, int]:
+        flags = 4 * contact | 8 * saturated | 64 * (not enabled) | 128 * unusable
+        current = 0 if currents is None else currents
+        return self._code.call(pulse=pulse, error=errors, current=current, flags=flags)
+
+    def _each(self, what: str) -> list[np.ndarray]:
+        """What the memory keeps of every block."""
+        return [self._code.at[f"{what} {b}"] for b in range(len(self.law.blocks))]
+
+    @property
+    def states(self) -> tuple[BlockState, ...]:
+        """The state of every block."""
+        return tuple(BlockState(int(state[0])) for state in self._each("state"))
+
+
+class CompiledSynchronous(_CompiledBeside):
     """The C code of the blocks in this process, with the methods of ``SynchronousBlock``."""
 
     def __init__(
         self, law: SynchronousLaw, arithmetic: str = "double", compiler: str | None = None
     ) -> None:
         """Compiles the code. Raises InvalidInput where there is no C compiler, or it fails."""
-        chosen = find_compiler(compiler)
-        if chosen is None:
-            known = compiler or " or ".join(COMPILERS)
-            raise InvalidInput(
-                f"there is no C compiler {known} on this computer; install one to run the C code "
-                "here"
-            )
-        files = generate_synchronous(law, "sync", arithmetic)
-        self.law = law
-        self._real = ctypes.c_double if arithmetic == "double" else ctypes.c_float
-        self._kind = np.float64 if arithmetic == "double" else np.float32
-        self._library = load_library(
-            build_library(chosen, files, ["sync.c"], _FLAGS, "give another compiler")
-        )
-        self._library.sync_step.restype = ctypes.c_uint
-        n, real = law.channels, self._real
-
-        class Running(ctypes.Structure):
-            _fields_ = (
-                ("state", ctypes.c_int),
-                ("fault", ctypes.c_uint),
-                ("clock", ctypes.c_long),
-                ("ramp", real),
-                ("re", real * n),
-                ("im", real * n),
-                *(
-                    (
-                        ("sum_re", real * (2 * n)),
-                        ("sum_im", real * (2 * n)),
-                        ("count", ctypes.c_long),
-                    )
-                    if any(block.per_turn for block in law.blocks)
-                    else ()
-                ),
-            )
-
-        class State(ctypes.Structure):
-            _fields_ = (
-                ("pulses", ctypes.c_int),
-                ("turned", ctypes.c_int),
-                *(
-                    (name, real)
-                    for name in ("tau", "period", "middle", "speed", "slope", "now", "theta")
-                ),
-                ("block", Running * len(law.blocks)),
-            )
-
-        self._state = State()
-        self._address = ctypes.addressof(self._state)
+        super().__init__(law, arithmetic, generate_synchronous(law, "sync", arithmetic), compiler)
         self.faults = 0
-        self.begin()
-
-    def begin(self) -> None:
-        """At rest: no pulse yet, all off."""
-        self._library.sync_begin(ctypes.c_void_p(self._address))
 
     def step(
-        self,
-        pulse: float,
-        errors: np.ndarray,
-        currents: np.ndarray | None = None,
-        contact: bool = False,
-        saturated: bool = False,
-        enabled: bool = True,
-        unusable: bool = False,
+        self, pulse: float, errors: np.ndarray, currents: np.ndarray | None = None, **flags: bool
     ) -> np.ndarray:
         """As ``SynchronousBlock.step``."""
-        n = self.law.channels
-        e = np.ascontiguousarray(errors, self._kind)
-        u = (
-            np.zeros(n, self._kind)
-            if currents is None
-            else np.ascontiguousarray(currents, self._kind)
-        )
-        c = np.empty(n, self._kind)
-        flags = 4 * contact | 8 * saturated | 64 * (not enabled) | 128 * unusable
-        self.faults = self._library.sync_step(
-            ctypes.c_void_p(self._address),
-            self._real(pulse),
-            ctypes.c_void_p(e.ctypes.data),
-            ctypes.c_void_p(u.ctypes.data),
-            ctypes.c_uint(flags),
-            ctypes.c_void_p(c.ctypes.data),
-        )
+        c, self.faults = self._step(pulse, errors, currents, **flags)
         return c.astype(float)
-
-    @property
-    def states(self) -> tuple[BlockState, ...]:
-        """The state of every block."""
-        return tuple(BlockState(block.state) for block in self._state.block)
 
     @property
     def speed(self) -> float:
         """The speed as the angle's tracker has it [rad/s]."""
-        return float(self._state.now)
+        return float(self._code.at["now"][0])
 
     def amplitudes(self) -> np.ndarray:
         """a (blocks, n) complex [m]."""
-        return np.array(
-            [np.array(block.re) + 1j * np.array(block.im) for block in self._state.block]
-        )
+        return np.array(self._each("re")) + 1j * np.array(self._each("im"))
 
 
 # Synchronous blocks as C99 in whole numbers, and the report of their formats.
@@ -303,7 +257,6 @@ class CompiledSynchronous:
 # templates/synchronous_fixed.c.j2; ``CompiledWords`` runs it in this process.
 
 
-FLAGS = ("-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror")
 _ANGLES = 10_000  # at which the table is measured
 _SETTINGS = 21
 
@@ -424,98 +377,31 @@ def _report(words: SynchronousWords, word: int) -> dict[str, Any]:
     }
 
 
-class CompiledWords:
+class CompiledWords(_CompiledBeside):
     """The C code of the blocks in words of 32 bits in this process, with the methods of
     ``SynchronousTwin``.
     """
 
-    def __init__(self, words: SynchronousWords, flags: Sequence[str] = FLAGS) -> None:
+    def __init__(self, words: SynchronousWords) -> None:
         """Compiles the code. Raises InvalidInput where there is no C compiler, or it fails."""
-        chosen = find_compiler(None)
-        if chosen is None:
-            raise InvalidInput("there is no C compiler on this computer; install one")
-        self.words, n = words, words.law.channels
-        files = generate_words(words, 32)
-        self._library = load_library(
-            build_library(chosen, files, ["sync.c"], tuple(flags), "give another compiler")
-        )
-        self._library.sync_step.restype = ctypes.c_uint
-        each_turn = any(block.per_turn for block in words.law.blocks)
-
-        class Running(ctypes.Structure):
-            _fields_ = (
-                ("state", ctypes.c_int),
-                ("fault", ctypes.c_uint),
-                ("clock", ctypes.c_int32),
-                ("ramp", ctypes.c_int32),
-                ("re", ctypes.c_int64 * n),
-                ("im", ctypes.c_int64 * n),
-                *(
-                    (
-                        ("sum_re", ctypes.c_int64 * (2 * n)),
-                        ("sum_im", ctypes.c_int64 * (2 * n)),
-                        ("count", ctypes.c_int32),
-                    )
-                    if each_turn
-                    else ()
-                ),
-            )
-
-        class State(ctypes.Structure):
-            _fields_ = (
-                ("pulses", ctypes.c_int),
-                ("turned", ctypes.c_int),
-                *((key, ctypes.c_int64) for key in ("tau", "period", "middle", "speed", "slope")),
-                ("now", ctypes.c_int32),
-                ("theta", ctypes.c_uint32),
-                ("block", Running * len(words.blocks)),
-            )
-
-        self._state = State()
-        self._words = ctypes.c_int32 * n
-        self.begin()
-
-    def begin(self) -> None:
-        """At rest: no pulse yet, all off."""
-        self._library.sync_begin(ctypes.byref(self._state))
+        super().__init__(words.law, "fixed32", generate_words(words, 32), None)
 
     def step(
-        self,
-        pulse: int,
-        errors: Sequence[int],
-        currents: Sequence[int],
-        contact: bool = False,
-        saturated: bool = False,
-        enabled: bool = True,
-        unusable: bool = False,
+        self, pulse: int, errors: Sequence[int], currents: Sequence[int], **flags: bool
     ) -> list[int]:
         """As ``SynchronousTwin.step``."""
-        c = self._words()
-        flags = 4 * contact | 8 * saturated | 64 * (not enabled) | 128 * unusable
-        self._library.sync_step(
-            ctypes.byref(self._state),
-            ctypes.c_int32(pulse),
-            self._words(*errors),
-            self._words(*currents),
-            ctypes.c_uint(flags),
-            c,
-        )
-        return list(c)
-
-    @property
-    def states(self) -> tuple[BlockState, ...]:
-        """The state of every block."""
-        return tuple(BlockState(block.state) for block in self._state.block)
+        return cast(list[int], self._step(pulse, errors, currents, **flags)[0].tolist())
 
     @property
     def faults(self) -> tuple[int, ...]:
         """The faults of every block."""
-        return tuple(block.fault for block in self._state.block)
+        return tuple(int(fault[0]) for fault in self._each("fault"))
 
     @property
     def stored(self) -> list[list[int]]:
         """The stored amplitudes of every block, real parts then imaginary ones."""
-        return [[*block.re, *block.im] for block in self._state.block]
+        pairs = zip(self._each("re"), self._each("im"), strict=True)
+        return [[*re.tolist(), *im.tolist()] for re, im in pairs]
 
 
 # A controller with synchronous blocks beside it as C99: the controller's files, the blocks' files,
@@ -542,7 +428,7 @@ def generate_run(
     else:
         files |= generate_synchronous(unit.law, sync, arithmetic, provenance)
     if arithmetic == "float":
-        unit = RunUnit(base.single(), unit.law, unit.contact)
+        unit = unit.single()
     facts = _facts(unit, arithmetic, provenance) | _self_test(unit, arithmetic)
     for end in ("_run.h", "_run.c", "_run_test.c"):
         files[f"{base.name}{end}"] = render(f"{end[1:]}.j2", facts)
@@ -553,18 +439,17 @@ def _facts(unit: RunUnit, arithmetic: str, provenance: Sequence[str]) -> dict[st
     base, word = unit.base, WORDS.get(arithmetic, 0)
     table = integer_table if word else real_table(arithmetic)
     supervised = isinstance(base, SupervisedBlock)
-    told = [one.name for one in base.along.each] if isinstance(base, ScheduledBlock) else []
-    told += ["estimate", "half_width"] if supervised else []
     touches = bool(np.isfinite(unit.contact).all())
     contact = contact_counts(unit, 1 << (word - 2)) if word else unit.contact
     floating = {"double": "double precision", "float": "single precision"}
+    n, real = len(base.inputs), TYPES[arithmetic][0]
     return {
         "name": base.name,
         "prefix": base.name.upper(),
         "sync": f"{base.name.upper()}_SYNC",
-        "n": len(base.inputs),
+        "n": n,
         "fixed": bool(word),
-        "type": f"int{word}_t" if word else arithmetic,
+        "type": real,
         "arithmetic": floating.get(arithmetic, f"fixed point, {word} bits"),
         "sample_time": f"{base.sample_time:.9g}",
         "provenance": [as_comment(line) for line in provenance] or ["provenance: not given"],
@@ -574,8 +459,9 @@ def _facts(unit: RunUnit, arithmetic: str, provenance: Sequence[str]) -> dict[st
         "contact": table(contact) if touches else "",
         "error_limit": "" if word else table(base.error_limit),
         "zero": "0" if word else literal(0.0, arithmetic),
-        "told_parameters": "".join(f"{arithmetic} {name}, " for name in told),
-        "told_arguments": "".join(f"{name}, " for name in told),
+        "declared": interface_of(unit, arithmetic).declared(real, n, n, "valid"),
+        "told": base.told,
+        "told_parameters": "".join(f"{real} {one}, " for one in base.told),
     }
 
 
@@ -660,37 +546,6 @@ def _whole(values: np.ndarray) -> str:
     return "{" + ",\n    ".join(lines) + "}"
 
 
-_RECORD = """#include <stddef.h>
-#include "{name}_run.h"
-void record(long count, const double *pulses, const double *errors,
-    const unsigned char *valid, const double *told, const unsigned *flags, double *currents,
-    double *c, double *amplitudes, unsigned *marks);
-void record(long count, const double *pulses, const double *errors,
-    const unsigned char *valid, const double *told, const unsigned *flags, double *currents,
-    double *c, double *amplitudes, unsigned *marks)
-{{
-    static {name}_run run;
-    long k;
-    int i, b;
-    {name}_run_init(&run);
-    for (k = 0; k < count; k++) {{
-        {name}_real error[{n}], current[{n}];
-        (void)told;
-        for (i = 0; i < {n}; i++) error[i] = ({name}_real)errors[k * {n} + i];
-        marks[2 * k] = {name}_run_step(&run, ({name}_real)pulses[k], error, valid + k * {n},
-            {told}flags[k], current);
-        marks[2 * k + 1] = run.faults;
-        for (i = 0; i < {n}; i++) currents[k * {n} + i] = current[i], c[k * {n} + i] = run.c[i];
-        for (b = 0; b < {blocks}; b++)
-            for (i = 0; i < {n}; i++) {{
-                amplitudes[(k * {blocks} + b) * {n2} + 2 * i] = (double)run.sync.block[b].re[i];
-                amplitudes[(k * {blocks} + b) * {n2} + 2 * i + 1] = (double)run.sync.block[b].im[i];
-            }}
-    }}
-}}
-"""
-
-
 class CompiledRun:
     """The unit's C code in this process."""
 
@@ -700,24 +555,9 @@ class CompiledRun:
         """Compiles the code; in fixed point pulses, errors, currents, c are counts, amplitudes
         stored numbers. Raises InvalidInput where there is no C compiler, or it fails.
         """
-        chosen = find_compiler(compiler)
-        if chosen is None:
-            raise InvalidInput(
-                f"there is no C compiler {compiler or ' or '.join(COMPILERS)} on this computer; "
-                "install one to run the C code here"
-            )
         self.unit = unit
-        name, n = unit.base.name, len(unit.base.inputs)
-        facts = _facts(unit, arithmetic, ())
-        columns = facts["told_parameters"].count(",")
-        told = "".join(f"({name}_real)told[{columns} * k + {i}], " for i in range(columns))
-        text = _RECORD.format(name=name, n=n, n2=2 * n, blocks=len(unit.law.blocks), told=told)
-        files = {**generate_run(unit, arithmetic), "record.c": text}
-        sources = [f"{name}.c", f"{name}_sync.c", f"{name}_run.c", "record.c"]
-        self._columns = columns
-        self._library = load_library(
-            build_library(chosen, files, sources, _FLAGS, "give another compiler", libraries="-lm")
-        )
+        files = generate_run(unit, arithmetic)
+        self._code = Loaded(interface_of(unit, arithmetic), files, compiler)
 
     def run(
         self,
@@ -729,24 +569,29 @@ class CompiledRun:
         enabled: ArrayLike | None = None,
     ) -> UnitRun:
         """As ``code.synchronous.run_unit``; its states are left empty."""
-        e = np.ascontiguousarray(errors, float)
-        (count, n), blocks = e.shape, len(self.unit.law.blocks)
+        e, times = np.asarray(errors, float), np.asarray(pulses, float)
+        (count, n), names = e.shape, self.unit.base.told
+        blocks = range(len(self.unit.law.blocks))
         good = np.ones((count, n), np.uint8) if valid is None else np.array(valid, np.uint8)
         marks = np.zeros(count, bool) if contact is None else np.asarray(contact, bool)
         on = np.ones(count, bool) if enabled is None else np.asarray(enabled, bool)
-        flags = (4 * marks + 64 * ~on).astype(np.uint32)
-        given = np.ascontiguousarray(
-            np.zeros((count, 1)) if told is None else np.asarray(told, float).reshape(count, -1)
+        flags = 4 * marks + 64 * ~on
+        given = np.reshape([] if told is None else told, (count, len(names)))
+        run = UnitRun(
+            np.zeros((count, n)),
+            np.zeros(count, int),
+            np.zeros(count, int),
+            np.zeros((count, 0), int),
+            np.zeros((count, n)),
+            np.zeros((count, len(blocks), n), complex),
         )
-        times = np.ascontiguousarray(pulses, float)
-        currents, c = np.zeros((count, n)), np.zeros((count, n))
-        amplitudes = np.zeros((count, blocks, n), complex)
-        bits = np.zeros((count, 2), np.uint32)
-        arrays = (times, e, good, given, flags, currents, c, amplitudes, bits)
-        self._library.record(
-            ctypes.c_long(count), *(ctypes.c_void_p(array.ctypes.data) for array in arrays)
-        )
-        empty = np.zeros((count, 0), int)
-        return UnitRun(
-            currents, bits[:, 0].astype(int), bits[:, 1].astype(int), empty, c, amplitudes
-        )
+        code, at = self._code, self._code.at
+        code.begin()
+        for k in range(count):
+            heard = dict(zip(names, given[k], strict=True))
+            run.currents[k], run.status[k] = code.call(
+                pulse=times[k], error=e[k], valid=good[k], flags=flags[k], **heard
+            )
+            run.faults[k], run.c[k] = at["faults"][0], at["c"]
+            run.amplitudes[k] = [at[f"re {b}"] + 1j * at[f"im {b}"] for b in blocks]
+        return run

@@ -1,0 +1,172 @@
+"""The arguments of a unit's step as data, and where its memory keeps what one asks for: what loads
+compiled code, drives it or describes it reads them here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from ambrose.code.block.block import Block, ControlBlock
+from ambrose.code.block.run import padding_of
+from ambrose.law.synchronous_block import SynchronousLaw
+
+# C's name of a number, and numpy's
+KINDS = {
+    "double": "f8",
+    "float": "f4",
+    "int16_t": "i2",
+    "int32_t": "i4",
+    "int64_t": "i8",
+    "int": "i4",
+    "unsigned": "u4",
+    "unsigned char": "u1",
+}
+# of an arithmetic: its signals, its states
+TYPES = {
+    "double": ("double", "double"),
+    "float": ("float", "float"),
+    "fixed32": ("int32_t", "int64_t"),
+    "fixed16": ("int16_t", "int32_t"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Argument:
+    """One argument of a step: its type in C, its numbers (0: one, by value), whether it is given
+    or, at the end, answered.
+    """
+
+    name: str
+    word: str
+    count: int = 0
+    given: bool = True
+
+    @property
+    def kind(self) -> np.dtype[Any]:
+        return np.dtype(KINDS[self.word])
+
+    def field(self, order: str) -> tuple[str, np.dtype[Any], tuple[int, ...]]:
+        """As a field of a sample in bytes of that order."""
+        return (
+            self.name,
+            np.dtype(f"{order}{KINDS[self.word]}"),
+            (self.count,) if self.count else (),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Interface:
+    """The functions <name>_<verb>, whose first argument is the memory; arguments: of the step after
+    it; sources: the files that hold it; places: by name where the memory keeps something, its type
+    and its numbers.
+    """
+
+    name: str
+    memory: str
+    sources: tuple[str, ...]
+    arguments: tuple[Argument, ...]
+    places: Mapping[str, tuple[str, str, int]] = field(default_factory=dict)
+    begin: str = "init"
+
+    def declared(
+        self, real: str, inputs: object, outputs: object, after: str = "error"
+    ) -> dict[str, str]:
+        """What stands in C after the memory, of the step and of the transfer "track". real: the
+        name of a number there; inputs, outputs: how many; after: where a line ends.
+        """
+        given = []
+        for one in self.arguments[:-1]:
+            word = one.word if one.word.startswith("unsigned") else real
+            text = f"const {word} {one.name}[{inputs}]," if one.count else f"{word} {one.name},"
+            given.append(text + ("\n    " if one.name == after else " "))
+        last, led = f"{real} current[{outputs}]", "".join(given).replace("unsigned flags, ", "")
+        return {"step": "".join(given) + last, "track": f"{led}const {last}"}
+
+
+class Law(Protocol):
+    """What a unit runs: a block, blocks beside it, a block of the axis along the shaft."""
+
+    @property
+    def base(self) -> Block: ...
+    @property
+    def beside(self) -> SynchronousLaw | None: ...
+    @property
+    def axial(self) -> ControlBlock | None: ...
+
+
+def parts_of(law: Law) -> tuple[Block, ...]:
+    """The blocks whose errors and currents are the unit's, in their order."""
+    return (law.base,) if law.axial is None else (law.base, law.axial)
+
+
+def interface_of(law: Law, arithmetic: str) -> Interface:
+    """Of a law's unit in an arithmetic."""
+    base, axial = law.base, law.axial
+    name, beside = base.name, law.beside
+    real, stored = TYPES[arithmetic]
+    parts = parts_of(law)
+    sources, places = [f"{name}.c"], {}
+    unit, path = f"{name}_block", ""
+    if beside is not None:
+        sources += [f"{name}_sync.c", f"{name}_run.c"]
+        unit, path = f"{name}_run", "base."
+        places = {
+            "c": ("c", real, beside.channels),
+            "faults": ("faults", "unsigned", 1),
+            **_amplitudes(beside, "sync.", _amplitude(arithmetic)),
+        }
+    if axial is not None:
+        sources += [f"{axial.name}.c", f"{name}_axes.c"]
+        unit, path = f"{name}_axes", f"radial.{path}"
+    for part, before in zip(parts, (path, "axial."), strict=False):
+        if part.n_states:
+            low = padding_of(part)[0]
+            places[f"states of {part.name}"] = (f"{before}state[{low}]", stored, part.n_states)
+    m, p = (sum(len(getattr(part, side)) for part in parts) for side in ("inputs", "outputs"))
+    around = beside is not None
+    arguments = (
+        *([Argument("pulse", real)] if around else []),
+        Argument("error", real, m),
+        Argument("valid", "unsigned char", m),
+        *(Argument(one, real) for one in base.told),
+        *([Argument("flags", "unsigned")] if around else []),
+        Argument("current", real, p, given=False),
+    )
+    return Interface(unit.removesuffix("_block"), unit, tuple(sources), arguments, places)
+
+
+def synchronous_interface(law: SynchronousLaw, name: str, arithmetic: str) -> Interface:
+    """Of synchronous blocks by themselves."""
+    real, n = TYPES[arithmetic][0], law.channels
+    arguments = (
+        Argument("pulse", real),
+        Argument("error", real, n),
+        Argument("current", real, n),
+        Argument("flags", "unsigned"),
+        Argument("c", real, n, given=False),
+    )
+    places = {
+        "now": ("now", real, 1),
+        **_amplitudes(law, "", _amplitude(arithmetic)),
+    }
+    return Interface(name, f"{name}_state", (f"{name}.c",), arguments, places, "begin")
+
+
+def _amplitude(arithmetic: str) -> str:
+    """The type of the blocks' amplitudes: of whole numbers the same for both words."""
+    return "int64_t" if arithmetic.startswith("fixed") else arithmetic
+
+
+def _amplitudes(law: SynchronousLaw, before: str, real: str) -> dict[str, tuple[str, str, int]]:
+    """State, fault and amplitude of every block."""
+    kinds = {"state": ("int", 1), "fault": ("unsigned", 1)}
+    kinds |= {"re": (real, law.channels), "im": (real, law.channels)}
+    return {
+        f"{what} {b}": (f"{before}block[{b}].{what}", *kind)
+        for b in range(len(law.blocks))
+        for what, kind in kinds.items()
+    }
