@@ -15,7 +15,7 @@ HERTZ = np.array([5.0, 10.0, 20.0, 50.0, 120.0, 400.0])
 s = 2j * np.pi * HERTZ
 L = 4e4 * (1 + s / 200) / (s**2 - 1e4) * np.exp(-s * 1.5e-4)
 S, T = 1 / (1 + L), L / (1 + L)
-HEAD = "# machine: toy\n# speed_rad_s: 0\n# seal_pressure_pa: 0\n"
+HEAD = "# machine: toy\n# sample_rate_hz: 8000\n# speed_rad_s: 0\n# seal_pressure_pa: 0\n"
 POINT = {"speed": "3000 rpm", "seal_pressure": "1 bar"}
 
 

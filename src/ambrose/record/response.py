@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.presentation import Presented
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.units import DIMENSIONS, in_si
@@ -61,7 +61,7 @@ class Response(Presented):
     """Frequency responses measured at one operating point.
 
     machine: its name. omega (w,) [rad/s], rising; paths: at least one, of w values each. date: ISO,
-    or empty. Raises InvalidInput for NaN, repeated or unsorted frequencies, repeated paths.
+    or empty. sample_rate_hz: of the controller that ran, where the file says it. Raises InvalidInput for NaN, repeated or unsorted frequencies, repeated paths.
     """
 
     machine: str
@@ -69,6 +69,7 @@ class Response(Presented):
     paths: tuple[Path, ...]
     point: OperatingPoint
     date: str = ""
+    sample_rate_hz: float | None = None
 
     def __post_init__(self) -> None:
         lines = len(self.omega)
@@ -86,6 +87,8 @@ class Response(Presented):
                 f"frequency {k + 1} ({self.omega[k] / (2 * np.pi):g} Hz) does not lie above the "
                 "one before it; sort the lines, and leave repeated ones out"
             )
+        if self.sample_rate_hz is not None:
+            check_positive(self.sample_rate_hz, "sample_rate_hz", "give the controller's, in Hz")
         for name, times in Counter(path.name for path in self.paths).items():
             if times > 1:
                 raise InvalidInput(f"{name} is there {times} times; leave out all but one")
@@ -100,8 +103,9 @@ class Response(Presented):
     def attributes(self) -> dict[str, Any]:
         """All but the numbers, as files have it."""
         point = {key: getattr(self.point, name) for key, name in POINT_KEYS.items()}
-        known = {key: value for key, value in point.items() if value not in {None, ""}}
-        return {"machine": self.machine, "date": self.date, **known}
+        known = {"date": self.date, "sample_rate_hz": self.sample_rate_hz, **point}
+        known = {key: value for key, value in known.items() if value not in {None, ""}}
+        return {"machine": self.machine, **known}
 
     def facts(self) -> Mapping[str, Any]:
         return {

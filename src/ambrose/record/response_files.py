@@ -97,6 +97,9 @@ class ResponseMap(Part):
     paths: Annotated[tuple[PathColumns, ...], "the quotients"] = field(metadata={"key": "path"})
     frequency: Annotated[Column | None, "the column of frequencies, in Hz or rad/s or rpm"] = None
     date: Annotated[Words, "day of the measurement, ISO"] = ""
+    sample_rate_hz: Annotated[float | None, Quantity("plain number"), "of the controller [Hz]"] = (
+        None
+    )
 
 
 def read_map(document: Mapping[str, Any], name: str = "column map") -> ResponseMap:
@@ -195,8 +198,10 @@ def _own_map(path: File) -> ResponseMap:
     label = texts.pop("label", "")
     try:
         point = OperatingPoint(**{name: float(text) for name, text in texts.items()}, label=label)
+        rate = float(said["sample_rate_hz"]) if "sample_rate_hz" in said else None
+        averages = float(said.get("averages", 0))
     except ValueError as error:
-        raise InvalidInput(f"the operating point is no number ({error}); {remedy}") from None
+        raise InvalidInput(f"a line above the header is no number ({error}); {remedy}") from None
     cells = [re.fullmatch(r"\s*\"?([^\[\"]*?)\s*(?:\[([^\]]*)\])?\"?\s*", c) for c in head.split(",")]
     names = [("", "") if cell is None else (cell[1], cell[2] or "") for cell in cells]
     found: dict[tuple[str, ...], dict[str, Any]] = {}
@@ -210,7 +215,7 @@ def _own_map(path: File) -> ResponseMap:
             )
         quantity, read, injected, at, part = match.groups()
         known = found.setdefault(
-            (quantity, read, injected or read, at or SENSOR), {"averages": float(said.get("averages", 0))}
+            (quantity, read, injected or read, at or SENSOR), {"averages": averages}
         )
         known[part] = name
         if part in {"gain", "phase"} and unit in {"dB", "deg", "rad", "abs", "°"}:
@@ -226,7 +231,7 @@ def _own_map(path: File) -> ResponseMap:
         for (q, i, j, at), columns in found.items()
     ]
     column = Column(name="frequency", source=names[0][0], unit=names[0][1])
-    return ResponseMap(said["machine"], point, tuple(paths), column, said.get("date", ""))
+    return ResponseMap(said["machine"], point, tuple(paths), column, said.get("date", ""), rate)
 
 
 def _mapped(path: File, columns: ResponseMap) -> Response:
@@ -263,7 +268,9 @@ def _mapped(path: File, columns: ResponseMap) -> Response:
             )
     omega = _rates(frequency, data[frequency.source])
     paths = tuple(_path(item, data, omega) for item in columns.paths)
-    return Response(columns.machine, omega, paths, columns.point, columns.date)
+    return Response(
+        columns.machine, omega, paths, columns.point, columns.date, columns.sample_rate_hz
+    )
 
 
 def _rates(column: Column, variable: Variable) -> np.ndarray:
@@ -393,5 +400,6 @@ def _read_hdf5(path: File) -> Response:
         numbers = {n: said[key] for key, n in POINT_KEYS.items() if key in said}
         label = numbers.pop("label", "")
         point = OperatingPoint(**{n: float(value) for n, value in numbers.items()}, label=label)
-        date = said.get("date", "")
-        return Response(said.get("machine", ""), omega[:], tuple(paths), point, date)
+        date, rate = said.get("date", ""), said.get("sample_rate_hz")
+        rate = None if rate is None else float(rate)
+        return Response(said.get("machine", ""), omega[:], tuple(paths), point, date, rate)
