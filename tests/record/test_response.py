@@ -43,7 +43,10 @@ def deg(x, unwrapped=False):
 
 FORMS = {
     "dB and degrees": (("gain [dB]", "phase [deg]"), lambda v: (dB(v), deg(v))),
-    "abs and degrees, unwrapped": (("gain [abs]", "phase [deg]"), lambda v: (abs(v), deg(v, True) - 720)),
+    "abs and degrees, unwrapped": (
+        ("gain [abs]", "phase [deg]"),
+        lambda v: (abs(v), deg(v, True) - 720),
+    ),
     "abs and radians": (("gain [abs]", "phase [rad]"), lambda v: (abs(v), np.angle(v))),
     "real and imaginary": (("real", "imag"), lambda v: (v.real, v.imag)),
 }
@@ -123,9 +126,7 @@ def universal(values, double, even, binary, nodes=(2, 1, 1, -1), hertz=HERTZ):
     rows = [([] if even else [f]) + [v.real, v.imag] for f, v in zip(hertz, values, strict=True)]
     if binary:
         kind = "d" if double else "f"
-        raw = b"".join(
-            struct.pack(f"<{'' if even else 'f'}2{kind}", *row) for row in rows
-        )
+        raw = b"".join(struct.pack(f"<{'' if even else 'f'}2{kind}", *row) for row in rows)
         first = f"    58b{1:6d}{2:6d}{11:12d}{len(raw):12d}{0:6d}{0:6d}{0:12d}{0:12d}"
         return ("\n".join(["    -1", first, *head]) + "\n").encode() + raw + b"\n    -1\n"
     if double and not even:

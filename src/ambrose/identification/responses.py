@@ -12,13 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path as File
 from typing import Any
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.core.frequency import check_nyquist, frequency_response
+from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import poles
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding, refuse
 from ambrose.identification.output_error import statistics
@@ -39,9 +40,13 @@ _CYCLE = 2 * np.pi
 _RELATIVE, _FLOOR = 0.01, 0.05  # noise where none is stated: of the value, and of its median
 _SAME = 1e-6  # S + T - 1 of columns of which one was computed from the other
 # a mistake is named where the model is this far, and a correction brings it so much nearer
-_FAR, _NEARER, _LOST = 0.2, 3.0, 0.6
+_FAR, _NEARER, _LOST = 0.05, 3.0, 0.6
+_OTHER_LAW = 0.1  # of the controller, which is known: then it is another one
 _WRONG_SIZE = 0.3  # relative: residuals with which no number can be trusted
-_LOUD, _ALIKE = 1.5, 0.3  # residual over noise, correlation of neighbours: the model lacks something
+_LOUD, _ALIKE = (
+    1.5,
+    0.3,
+)  # residual over noise, correlation of neighbours: the model lacks something
 _SMALL = 0.1  # of the largest path: what is smaller may be nothing but noise
 _VALID = 0.1, np.radians(10.0)
 _RADIUS = 1.73  # of a complex value's deviation: sqrt(-ln 0.05), the circle that holds 95 %
@@ -204,7 +209,12 @@ def identify_responses(
 
 def _usable(response: Response, loop: Loop, dt: float) -> Response:
     """Without the paths that repeat others; raises InvalidInput for what the loop does not have."""
-    check_nyquist(response.omega, dt)
+    if response.omega[-1] * dt > np.pi * (1 + 1e-9):
+        raise InvalidInput(
+            f"the highest frequency, {response.omega[-1] / _CYCLE:g} Hz, lies beyond half the "
+            f"controller's {1 / dt:g} Hz; state the frequencies' unit (are they in rad/s, not Hz?),"
+            " or leave lines out"
+        )
     for path in response.paths:
         for axis in (path.read, path.injected):
             if axis not in loop.axes:
@@ -219,10 +229,10 @@ def _usable(response: Response, loop: Loop, dt: float) -> Response:
             "the plant is there between different axes, but not between all of them; give all "
             f"{len(loop.axes) ** 2} paths, or the diagonal alone"
         )
-    known = {(p.read, p.injected, p.at): p for p in response.kind("S")}
+    sensitivities = {(p.read, p.injected, p.at): p for p in response.kind("S")}
 
     def again(path: Path) -> bool:
-        other = known.get((path.read, path.injected, path.at))
+        other = sensitivities.get((path.read, path.injected, path.at))
         if other is None or path.quantity not in {"T", "L"}:
             return False
         own = float(path.read == path.injected)
@@ -349,7 +359,7 @@ class Problem:
                     Code.MIXED_CHANNELS, ERROR, f"{name} is {apart}, and {best:.0%} where {what}",
                     remedy=remedy,
                 )  # fmt: skip
-            elif far > _LOST:
+            elif far > (_OTHER_LAW if quantity == "K" else _LOST):
                 code = Code.OTHER_CONTROLLER if quantity == "K" else Code.OTHER_MACHINE
                 remedy = "say what was measured, at which axis, and give the controller that ran"
                 yield Finding(code, ERROR, f"{name} is {apart}", remedy=remedy)
@@ -380,6 +390,7 @@ class Problem:
             off = (np.abs(np.abs(ratio) - 1) > _VALID[0] + margin) | (
                 np.abs(np.angle(ratio)) > _VALID[1] + np.arcsin(np.minimum(margin, 1.0))
             )
+            off &= margin <= _VALID[0]  # others are too noisy to tell
             reach.append(float(omega[max(int(np.argmax(off)) - 1, 0) if off.any() else -1]))
         lines = sum(len(one.omega) for one in self.responses)
         return (
@@ -387,6 +398,10 @@ class Problem:
             f"measurement agree within 10 % and 10 degrees up to {min(reach) / _CYCLE:.4g} Hz",
             *(("no noise is stated: the residuals' size stands for it",) if self.unstated else ()),
         )
+
+
+def _times(factor: float, path: Path) -> np.ndarray:
+    return factor * path.values
 
 
 _OTHER = "it is the other of S and T: exchange S and T"
@@ -400,15 +415,16 @@ _CORRECTIONS: Mapping[str, Callable[[Path], np.ndarray]] = {
     "the gain is in dB, not absolute: state gain in dB": lambda p: (
         10 ** np.minimum(np.abs(p.values) / 20, 20) * np.exp(1j * np.angle(p.values))
     ),
+    "the gain is in dB and below 1, not absolute: state gain in dB": lambda p: (
+        -(10 ** (-np.abs(p.values) / 20)) * np.exp(1j * np.angle(p.values))
+    ),
     "the gain is 10 log10: double it": lambda p: p.values * np.abs(p.values),
     "the gain is 40 log10: halve it": lambda p: p.values / np.sqrt(np.abs(p.values)),
     "the phase is in radians, not degrees: state phase in rad": lambda p: (
         np.abs(p.values) * np.exp(1j * np.degrees(np.angle(p.values)))
     ),
     **{
-        f"it is {1 / factor:g} times larger: correct its unit": (
-            lambda p, factor=factor: factor * p.values
-        )
+        f"it is {1 / factor:g} times larger: correct its unit": partial(_times, factor)
         for factor in (1e-6, 1e-3, 1e3, 1e6)
     },
 }

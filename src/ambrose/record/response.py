@@ -61,7 +61,8 @@ class Response(Presented):
     """Frequency responses measured at one operating point.
 
     machine: its name. omega (w,) [rad/s], rising; paths: at least one, of w values each. date: ISO,
-    or empty. sample_rate_hz: of the controller that ran, where the file says it. Raises InvalidInput for NaN, repeated or unsorted frequencies, repeated paths.
+    or empty. sample_rate_hz: of the controller that ran, where the file says it. Raises
+    InvalidInput for NaN, repeated or unsorted frequencies, repeated paths.
     """
 
     machine: str

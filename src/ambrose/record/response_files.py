@@ -16,14 +16,14 @@ and imag.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path as File
 from typing import Annotated, Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, check_path, check_positive, invalid
+from ambrose.core.checks import InvalidInput, check_path, invalid
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.kinds import Choice, Name, Quantity, Words
 from ambrose.machine.ordinary_file import NUMBERS, SIGNALS, check_source, draft_of
@@ -111,7 +111,9 @@ def read_map(document: Mapping[str, Any], name: str = "column map") -> ResponseM
     if isinstance(document.get("frequency"), Mapping):
         document = {**document, "frequency": {"name": "frequency", **document["frequency"]}}
     point = document.get("point")
-    missing = [k for k in ("speed", "seal_pressure") if not isinstance(point, dict) or k not in point]
+    missing = [
+        k for k in ("speed", "seal_pressure") if not isinstance(point, dict) or k not in point
+    ]
     if missing:
         raise InvalidInput(
             f"{name}: [point]: {' and '.join(missing)} is missing; the operating point must be "
@@ -121,6 +123,13 @@ def read_map(document: Mapping[str, Any], name: str = "column map") -> ResponseM
         return ResponseMap(**read_table(model, document, name).given())
     except InvalidInput as error:
         raise InvalidInput(f"{name}: {str(error).removeprefix(f'{name}: ')}") from error
+
+
+def maps_responses(columns: str | File) -> bool:
+    """Whether a column map is one of responses: whether it has a [[path]]. Raises InvalidInput."""
+    from ambrose.machine.file.toml import read_toml
+
+    return "path" in read_toml(columns, "column map")
 
 
 def holds_responses(path: str | File) -> bool:
@@ -202,7 +211,9 @@ def _own_map(path: File) -> ResponseMap:
         averages = float(said.get("averages", 0))
     except ValueError as error:
         raise InvalidInput(f"a line above the header is no number ({error}); {remedy}") from None
-    cells = [re.fullmatch(r"\s*\"?([^\[\"]*?)\s*(?:\[([^\]]*)\])?\"?\s*", c) for c in head.split(",")]
+    cells = [
+        re.fullmatch(r"\s*\"?([^\[\"]*?)\s*(?:\[([^\]]*)\])?\"?\s*", c) for c in head.split(",")
+    ]
     names = [("", "") if cell is None else (cell[1], cell[2] or "") for cell in cells]
     found: dict[tuple[str, ...], dict[str, Any]] = {}
     for name, unit in names[1:]:
@@ -338,8 +349,7 @@ def _plausible(
         raise InvalidInput(f"the gain of {name} goes to {np.abs(gain).max():g} dB; state abs")
     if item.phase_unit == "rad" and np.ptp(phase) > _TURNS * _CYCLE:
         raise InvalidInput(
-            f"the phase of {name} covers {np.ptp(phase):.4g} rad, so it is in degrees; "
-            "state deg"
+            f"the phase of {name} covers {np.ptp(phase):.4g} rad, so it is in degrees; state deg"
         )
 
 
@@ -400,6 +410,7 @@ def _read_hdf5(path: File) -> Response:
         numbers = {n: said[key] for key, n in POINT_KEYS.items() if key in said}
         label = numbers.pop("label", "")
         point = OperatingPoint(**{n: float(value) for n, value in numbers.items()}, label=label)
-        date, rate = said.get("date", ""), said.get("sample_rate_hz")
-        rate = None if rate is None else float(rate)
-        return Response(said.get("machine", ""), omega[:], tuple(paths), point, date, rate)
+        stated = said.get("sample_rate_hz")
+        rate = None if stated is None else float(stated)
+        name, date = said.get("machine", ""), said.get("date", "")
+        return Response(name, omega[:], tuple(paths), point, date, rate)

@@ -290,7 +290,9 @@ def universal(path: Path) -> Iterator[Find]:
 
     def find(name: str) -> Variable:
         place = re.fullmatch(rf"({ABSCISSA})?set (\d+)", name)
-        kind = [item for item in sets if item[0][0].startswith(ABSCISSA) == bool(place and place[1])]
+        kind = [
+            item for item in sets if item[0][0].startswith(ABSCISSA) == bool(place and place[1])
+        ]
         chosen = [found for names, found in sets if name in names] or (
             [kind[int(place[2]) - 1][1]] if place and 1 <= int(place[2]) <= len(kind) else []
         )
@@ -348,9 +350,7 @@ def _take(data: bytes, at: int, count: int) -> tuple[list[str], int]:
     return lines, at
 
 
-def _set(
-    head: list[str], body: bytes, order: str
-) -> Iterator[tuple[tuple[str, ...], Variable]]:
+def _set(head: list[str], body: bytes, order: str) -> Iterator[tuple[tuple[str, ...], Variable]]:
     """A dataset: eleven lines of heading, then numbers as text, or as bytes of that order; of a
     frequency response its frequencies, too.
     """
