@@ -164,11 +164,13 @@ def _check_responses(source: Any, machine: Machine | None) -> RecordCheck:
     good = bool(axes) and not missing and not other
     uses = (
         Use(
-            "the machine's parameters", "identify", good,
+            "the machine's parameters",
+            "identify",
+            good,
             "with the controller that ran" if good else lacking,
         ),
         Use("anything else", "frf, accept, retune", False, "they take records in time"),
-    )  # fmt: skip
+    )
     return RecordCheck(name, contents, (), uses)
 
 

@@ -40,7 +40,8 @@ _CYCLE = 2 * np.pi
 _RELATIVE, _FLOOR = 0.01, 0.05  # noise where none is stated: of the value, and of its median
 _SAME = 1e-6  # S + T - 1 of columns of which one was computed from the other
 # a mistake is named where the model is this far, and a correction brings it so much nearer
-_FAR, _NEARER, _LOST = 0.05, 3.0, 0.6
+_FAR, _NEARER = 0.05, 3.0
+_LOST = 0.6  # and this far without one, it is none of it
 _OTHER_LAW = 0.1  # of the controller, which is known: then it is another one
 _WRONG_SIZE = 0.3  # relative: residuals with which no number can be trusted
 _LOUD, _ALIKE = (
@@ -201,10 +202,16 @@ def identify_responses(
     checks = diagnose_values(machine, result, ())
     refuse(checks)
     return LoopIdentification(
-        given=machine, machine=machine, result=result, checks=checks, outputs=(),
-        controller=controller, computing_delay=delay, bending_modes=modes,
+        given=machine,
+        machine=machine,
+        result=result,
+        checks=checks,
+        outputs=(),
+        controller=controller,
+        computing_delay=delay,
+        bending_modes=modes,
         notes=problem.notes(minimum.x),
-    )  # fmt: skip
+    )
 
 
 def _usable(response: Response, loop: Loop, dt: float) -> Response:
@@ -310,7 +317,8 @@ class Problem:
 
     def linearise(self, theta: np.ndarray) -> Linearised:
         """The sums of squares of real and imaginary parts."""
-        H, g, cost = np.zeros((len(theta), len(theta))), np.zeros(len(theta)), 0.0
+        H, g = np.zeros((len(theta), len(theta))), np.zeros(len(theta))
+        cost = 0.0
         for path, r, J in self.residuals(theta):
             if path.quantity != "K":
                 H += (J.conj() @ J.T).real
@@ -356,9 +364,11 @@ class Problem:
             if best * _NEARER < far:
                 what, remedy = words.split(": ")
                 yield Finding(
-                    Code.MIXED_CHANNELS, ERROR, f"{name} is {apart}, and {best:.0%} where {what}",
+                    Code.MIXED_CHANNELS,
+                    ERROR,
+                    f"{name} is {apart}, and {best:.0%} where {what}",
                     remedy=remedy,
-                )  # fmt: skip
+                )
             elif far > (_OTHER_LAW if quantity == "K" else _LOST):
                 code = Code.OTHER_CONTROLLER if quantity == "K" else Code.OTHER_MACHINE
                 remedy = "say what was measured, at which axis, and give the controller that ran"
@@ -447,7 +457,9 @@ def _estimate(
     minimum: Minimum,
 ) -> ParameterEstimate:
     H = problem.linearise(minimum.x).H
-    findings, fits, excess = [], [], 1.0
+    findings: list[Finding] = []
+    fits: list[tuple[int, str, float]] = []
+    excess = 1.0
     for number, ((omega, path), (_, r, _)) in enumerate(
         zip(problem.items, problem.residuals(minimum.x), strict=True)
     ):
@@ -489,7 +501,19 @@ def _estimate(
     warnings = statistics.warnings_of(paths, minimum, covariance, correlation, (), verdict)
     cosine = statistics.column_cosine(H)
     return ParameterEstimate(
-        machine.name, problem.responses[0].point, paths, minimum.x, begin, covariance, correlation,
-        cosine, tuple(fits), (), float(np.linalg.cond(cosine)), minimum.converged,
-        minimum.iterations, (*warnings, *findings), verdict,
-    )  # fmt: skip
+        machine.name,
+        problem.responses[0].point,
+        paths,
+        minimum.x,
+        begin,
+        covariance,
+        correlation,
+        cosine,
+        tuple(fits),
+        (),
+        float(np.linalg.cond(cosine)),
+        minimum.converged,
+        minimum.iterations,
+        (*warnings, *findings),
+        verdict,
+    )

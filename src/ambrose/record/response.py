@@ -76,9 +76,11 @@ class Response(Presented):
         lines = len(self.omega)
         if lines < _FEW or not self.paths:
             raise invalid(
-                "the responses", f"{len(self.paths)} paths at {lines} frequencies",
-                f"at least one at {_FEW}", "export more of the sweep",
-            )  # fmt: skip
+                "the responses",
+                f"{len(self.paths)} paths at {lines} frequencies",
+                f"at least one at {_FEW}",
+                "export more of the sweep",
+            )
         if not (np.isfinite(self.omega).all() and self.omega[0] > 0):
             raise InvalidInput("a frequency is zero or no number; leave that line out")
         steps = np.diff(self.omega)
@@ -121,17 +123,21 @@ class Response(Presented):
 def _check(path: Path, lines: int, omega: np.ndarray) -> None:
     if path.quantity not in QUANTITIES or path.at not in {SENSOR, CURRENT}:
         raise invalid(
-            "the quantity of a path", f"{path.quantity!r} at {path.at!r}",
-            f"one of {', '.join(QUANTITIES)}, at {SENSOR} or {CURRENT}", "correct it",
-        )  # fmt: skip
+            "the quantity of a path",
+            f"{path.quantity!r} at {path.at!r}",
+            f"one of {', '.join(QUANTITIES)}, at {SENSOR} or {CURRENT}",
+            "correct it",
+        )
     for what, numbers in (("values", path.values), ("variances", path.variance)):
         if numbers is None:
             continue
         if numbers.shape != (lines,):
             raise invalid(
-                f"the number of {what} of {path.name}", numbers.size, f"{lines}, as frequencies",
+                f"the number of {what} of {path.name}",
+                numbers.size,
+                f"{lines}, as frequencies",
                 "export them together",
-            )  # fmt: skip
+            )
         finite = np.isfinite(numbers)
         if not finite.all():
             at = omega[int(np.argmin(finite))] / (2 * np.pi)
