@@ -455,6 +455,8 @@ def convert(
     (*.tdms), any HDF5 (*.h5), a universal file (*.uff or *.unv) or a text table of any separator
     and decimal mark (*.csv, *.txt).
 
+    A map with [[path]] makes frequency responses of an analyser's file: see `ambrose identify`.
+
     As a controller file (*.json): a controller of another program, as `ambrose convert controller`
     does with its options.
 
@@ -464,6 +466,12 @@ def convert(
     """
     from ambrose.record.files import check_suffix, read_record, write_record
     from ambrose.record.foreign import read_foreign
+    from ambrose.record.response_files import (
+        holds_responses,
+        maps_responses,
+        read_response,
+        write_response,
+    )
 
     if output.suffix == ".json":
         write_imported(record, None, output, as_json)
@@ -472,6 +480,14 @@ def convert(
         return
     check_suffix(output)
     claim(record=output)
+    if holds_responses(record) if columns is None else maps_responses(columns):
+        responses = read_response(record, columns)
+        write_response(responses, output)
+        facts = {"responses": str(output), **responses.facts()}
+        names = ", ".join(path.name for path in responses.paths[:8])
+        words = f"{output}: {len(responses.paths)} responses at {len(responses.omega)} frequencies"
+        say_json(facts) if as_json else say(f"{words} ({names})")
+        return
     result = read_record(record) if columns is None else read_foreign(record, columns)
     write_record(result, output)
     count, rate = result.values.shape[1], result.sample_rate_hz

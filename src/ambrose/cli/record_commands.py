@@ -235,9 +235,10 @@ def identify(
 
     RECORDS are *.h5 or *.csv files with the excitations e_<axis> and the displacements y_<axis>;
     with u_<axis> the controller is checked too. --method youla needs every u_<axis>; --method
-    static takes loads f_<port> and currents, and finds K_i. One axis without a machine file:
-    identify --generic RECORD. Exit status 1: done, but a warning says
-    that the result is doubtful; 2: refused.
+    static takes loads f_<port> and currents, and finds K_i. Or RECORDS are frequency responses
+    (*.h5 of ambrose convert, or *.csv whose columns are named "S A_zeta gain [dB]"). One axis
+    without a machine file: identify --generic RECORD. Exit status 1: done, but a warning says that
+    the result is doubtful; 2: refused.
     """
     from ambrose.identification.pipeline import Provenance, check_controller
     from ambrose.identification.pipeline import identify as run

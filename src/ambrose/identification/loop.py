@@ -52,6 +52,7 @@ from ambrose.machine.description import AMPLIFIER_PARAMETERS
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, EXCITATION_DELAY, TIMING, parse_parameter
 from ambrose.record.record import Record
+from ambrose.record.response import Response
 
 _SHORT = 1.0  # [s] of every record on which other delays are tried
 Progress = Callable[[str], None]
@@ -344,7 +345,7 @@ def _with_repeats(
     )
 
 
-def usual_unknowns(machine: Machine, records: Sequence[Record] = ()) -> tuple[str, ...]:
+def usual_unknowns(machine: Machine, records: Sequence[Record | Response] = ()) -> tuple[str, ...]:
     """What is identified when nothing is named: the machine's uncertain parameters, K_i and K_s of
     every bearing and axis, and the amplifier's lag (its bandwidth, or its natural frequency).
 

@@ -27,6 +27,7 @@ from ambrose.identification.methods import (
     StaticLoads,
 )
 from ambrose.identification.parameters import COVERAGE, split_timing
+from ambrose.identification.responses import as_responses, identify_responses
 from ambrose.identification.result import (
     Identification,
     IdentifiedParameter,
@@ -43,6 +44,7 @@ from ambrose.machine.parameters import TIMING
 from ambrose.options import choose, either
 from ambrose.record.files import read_record
 from ambrose.record.record import Record
+from ambrose.record.response import Response
 
 __all__ = [
     "Identification",
@@ -86,9 +88,15 @@ def identify(
         raise invalid(
             "the machine", type(machine).__name__, "a Machine", "load it with load_machine"
         )
+    done: StaticIdentification | LoopIdentification
     # before any record is read
     start = _start_values(chosen.start) if isinstance(chosen, LoopMethod) else None
     unknown = _paths(chosen.unknown) if isinstance(chosen, LoopMethod) else ()
+    if responses := as_responses(records):
+        done = _identify_responses(
+            machine, responses, controller, chosen, unknown, start, repeats or between, progress
+        )
+        return replace(done, provenance=provenance or Provenance()).updated()
     measured, names = _read(records, progress)
     provenance = provenance or Provenance(names)
     seal_form = chosen.seal_form if isinstance(chosen, ClosedLoop) else None
@@ -113,7 +121,6 @@ def identify(
             "at least 2 for repeats",
             "give every repeat as a record",
         )
-    done: StaticIdentification | LoopIdentification
     if isinstance(chosen, StaticLoads):
         done = _identify_static(machine, measured, repeats, progress, chosen)
     else:
@@ -171,6 +178,42 @@ def identify(
                 options=how,
             )
     return replace(done, provenance=provenance).updated()
+
+
+def _identify_responses(
+    machine: Machine,
+    responses: tuple[Response, ...],
+    controller: LawLike | None,
+    method: Identifying,
+    unknown: Sequence[str],
+    start: Mapping[str, float] | None,
+    of_time: object,
+    progress: Progress,
+) -> LoopIdentification:
+    """Of frequency responses, which are neither repeated nor cut in time."""
+    if not isinstance(method, ClosedLoop) or method.seal_form or method.period or of_time:
+        raise InvalidInput(
+            "frequency responses are identified by the method closed-loop, all of them together; "
+            "leave out other methods, repeats, between, period and --seal-fit"
+        )
+    if controller is None:
+        raise InvalidInput(
+            "the controller that ran is missing; give a StateSpace or a Synthesis (on the command "
+            "line its file, *.json)"
+        )
+    if all("." not in path for path in unknown):
+        unknown = (*usual_unknowns(machine, responses), *unknown)
+    return identify_responses(
+        machine,
+        responses,
+        law_of(controller, functions=False),
+        unknown,
+        start=start,
+        computing_delay=method.computing_delay,
+        bending_modes=method.bending_modes,
+        max_iterations=method.max_iterations,
+        progress=progress,
+    )
 
 
 def check_controller(method: Identifying, given: bool, repeats: bool, option: str = "") -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,10 +20,13 @@ from ambrose.identification.data_quality.signals import flat_tops, signal_findin
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding
 from ambrose.identification.one_axis.axis_record import is_text_table, read_axis
 from ambrose.identification.one_axis.identify import coarse_steps, dead_channels, identify_generic
+from ambrose.machine.criteria import TWO_PI
 from ambrose.machine.machine import Machine, point_in_words
 from ambrose.machine.units import BULLET
 from ambrose.record.files import read_record
 from ambrose.record.record import Record
+from ambrose.record.response import QUANTITIES, Response
+from ambrose.record.response_files import holds_responses, read_response
 
 _SHORT = 0.5  # s, below it a record holds few periods of a rigid mode; assumed
 _MEASURED = ("y", "u", "i")
@@ -113,6 +117,8 @@ def check_record(
     None: not known, then the axes are those of its displacements. columns, sample_rate_hz [Hz],
     travel [m]: as for ``identify_generic``. Raises InvalidInput for a file that cannot be read.
     """
+    if isinstance(source, Response) or (isinstance(source, str | Path) and holds_responses(source)):
+        return _check_responses(source, machine)
     if not isinstance(source, Record) and is_text_table(check_path(source, "record")):
         return _check_table(source, columns, sample_rate_hz, travel)
     record = source if isinstance(source, Record) else read_record(source)
@@ -128,6 +134,44 @@ def check_record(
             _generic_use(source, record, axes, generic),
         ),
     )
+
+
+_CLOSED = ("S", "T", "L", "G", "motion")
+
+
+def _check_responses(source: Any, machine: Machine | None) -> RecordCheck:
+    """Frequency responses: what is measured, and that they serve for identification."""
+    response = source if isinstance(source, Response) else read_response(source)
+    name = response.machine if isinstance(source, Response) else check_path(source, "record").name
+    axes = {path.read for path in response.paths if path.quantity in _CLOSED}
+    low, high = (response.omega[k] / TWO_PI for k in (0, -1))
+    certain = sum(path.variance is not None for path in response.paths)
+    contents = (
+        ("machine", response.machine),
+        ("operating point", point_in_words(response.point)),
+        ("frequencies", f"{len(response.omega)}, {low:.4g} to {high:.4g} Hz"),
+        *((path.name, QUANTITIES[path.quantity][0]) for path in response.paths),
+        ("noise", f"stated for {certain} of {len(response.paths)}"),
+    )
+    wanted = sorted(axes) if machine is None else machine.axes
+    missing = [axis for axis in wanted if axis not in axes]
+    lacking = f"nothing is read at {', '.join(missing)}; sweep there, too"
+    if not axes:
+        lacking = "the controller alone says nothing of the machine; measure S, T, L or the plant"
+    other = machine is not None and machine.name != response.machine
+    if other:
+        lacking = f"they are of {response.machine}, not of {getattr(machine, 'name', '')}"
+    good = bool(axes) and not missing and not other
+    uses = (
+        Use(
+            "the machine's parameters",
+            "identify",
+            good,
+            "with the controller that ran" if good else lacking,
+        ),
+        Use("anything else", "frf, accept, retune", False, "they take records in time"),
+    )
+    return RecordCheck(name, contents, (), uses)
 
 
 def _check_table(

@@ -35,13 +35,17 @@ _NAMES = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?")  # between spaces, "x
 # a mark that no digits are set apart by: other than three digits follow, or zeros stand before
 _DECIMALS = re.compile(r"[.,](?!\d{3}(?![\deEdD]))|(?<![1-9\d])0*[.,]|\d{4}[.,]")
 _ONE_NUMBER = re.compile(r"\s*[+-]?\d+,\d+\s*")
-# of dataset 58: kind of number, numbers a line, characters a number
-_REAL = {2: ("f4", 6, 13), 4: ("f8", 4, 20)}
+# of dataset 58: kind of number, numbers a line, characters a number; complex ones are pairs
+_REAL = {2: ("f4", 6, 13), 4: ("f8", 4, 20), 5: ("f4", 6, 13), 6: ("f8", 4, 20)}
+_COMPLEX = (5, 6)
+_TIMES, _RESPONSES = 1, 4  # types of function
+ABSCISSA = "abscissa of "  # before the name of a dataset: its frequencies [Hz]
 
 _ORDERS = {1: "<", 2: ">"}  # of its bytes
 _IEEE = 2
 _FLOATS = {1: "VAX", 3: "IBM"}
-_TIME = (0, 17)  # what its abscissa may be: not said, or time
+_TIME, _FREQUENCY = (0, 17), (0, 18)  # what its abscissa may be: not said, or that
+_HERTZ = ("", "hz", "hertz")
 _SECONDS = dict.fromkeys(("none", "", "sec", "secs", "second", "seconds", "s"), "s")
 
 _SHOWN = 20  # names in a message
@@ -285,9 +289,12 @@ def universal(path: Path) -> Iterator[Find]:
         )
 
     def find(name: str) -> Variable:
-        place = re.fullmatch(r"set (\d+)", name)
+        place = re.fullmatch(rf"({ABSCISSA})?set (\d+)", name)
+        kind = [
+            item for item in sets if item[0][0].startswith(ABSCISSA) == bool(place and place[1])
+        ]
         chosen = [found for names, found in sets if name in names] or (
-            [sets[int(place[1]) - 1][1]] if place and 1 <= int(place[1]) <= len(sets) else []
+            [kind[int(place[2]) - 1][1]] if place and 1 <= int(place[2]) <= len(kind) else []
         )
         if len(chosen) > 1:
             raise InvalidInput(
@@ -318,13 +325,13 @@ def _sets(data: bytes) -> Iterator[tuple[tuple[str, ...], Variable]]:
                     f"floats under {lines} lines of heading, but IEEE ones under 11 are read; "
                     "export it as text, or with IEEE floats"
                 )
-            yield _set(head, data[at : at + size], _ORDERS[order])
+            yield from _set(head, data[at : at + size], _ORDERS[order])
             at += size
         else:
             end = re.compile(rb"^ {4}-1[ \t]*\r?$", re.MULTILINE).search(data, at)
             if end is None:
                 raise InvalidInput("its last dataset has no end; copy the whole file")
-            yield _set(head, data[at : end.start()], "")
+            yield from _set(head, data[at : end.start()], "")
             at = end.end()
 
 
@@ -343,8 +350,10 @@ def _take(data: bytes, at: int, count: int) -> tuple[list[str], int]:
     return lines, at
 
 
-def _set(head: list[str], body: bytes, order: str) -> tuple[tuple[str, ...], Variable]:
-    """A dataset: eleven lines of heading, then numbers as text, or as bytes of that order."""
+def _set(head: list[str], body: bytes, order: str) -> Iterator[tuple[tuple[str, ...], Variable]]:
+    """A dataset: eleven lines of heading, then numbers as text, or as bytes of that order; of a
+    frequency response its frequencies, too.
+    """
     title = head[0].strip()
     try:
         kind, abscissa = int(head[5][:5]), int(head[7][:10])
@@ -355,40 +364,89 @@ def _set(head: list[str], body: bytes, order: str) -> tuple[tuple[str, ...], Var
         raise InvalidInput(
             f"the heading of the dataset {title!r} cannot be read; export it again as dataset 58"
         ) from None
-    if kind != 1 or code not in _REAL:
-        what = "a function of another kind than time response" if kind != 1 else "complex numbers"
+    responses = kind == _RESPONSES and code in _COMPLEX
+    if not responses and (kind != _TIMES or code not in _REAL or code in _COMPLEX):
+        what = "complex numbers" if kind == _TIMES else "a function of another kind"
         raise InvalidInput(
-            f"the dataset {title!r} holds {what}; export real time signals (function type 1)"
+            f"the dataset {title!r} holds {what}, neither a time response (function type 1, real) "
+            "nor a frequency response (type 4, complex); export it as one of them"
         )
     if not 0 < count <= FOREIGN_NUMBERS:
         raise InvalidInput(
             f"the dataset {title!r} states {count} numbers, at most {FOREIGN_NUMBERS} are read; "
             "export it in parts"
         )
+    places = [f"{node}:{_sense(direction)}" if direction else str(node)]
+    unit, of_time = (_said(head[line][46:67]) for line in (8, 7))
+    if responses:
+        axis, values = _lines_of(title, body, order, code, count, (start, step) if even else None)
+        node, direction = (_whole(head[5][i:j]) for i, j in ((66, 76), (76, 80)))
+        places = [f"{places[0]}/{node}:{_sense(direction)}" if direction else f"{places[0]}/{node}"]
+        names = tuple(name for name in (_said(title), *places) if name)
+        if abscissa not in _FREQUENCY or of_time.lower() not in _HERTZ:
+            raise InvalidInput(
+                f"the abscissa of the dataset {title!r} is of type {abscissa} in {of_time!r}, but "
+                "must be frequency in Hz; export it so"
+            )
+        below = _said(head[9][46:67])
+        yield names, Variable(values, f"{unit}/{below}" if unit and below else "")
+        yield tuple(ABSCISSA + name for name in names), Variable(axis, "Hz")
+        return
     if not even or not step > 0:
         raise InvalidInput(
             f"the dataset {title!r} is not evenly spaced in time; export it with a constant step"
         )
-    unit, of_time = (head[line][46:67].strip() for line in (8, 7))
     try:
         if abscissa not in _TIME:
             raise ValueError(f"is of type {abscissa}, but must be time; export it over time")
         second = in_si(1.0, _SECONDS.get(of_time.lower(), of_time), DIMENSIONS["time"])
     except ValueError as error:
         raise InvalidInput(f"the abscissa of the dataset {title!r} {error}") from None
-    axis = "XYZ"[(abs(direction) - 1) % 3] if direction else ""
-    place = f"{node}:{'-' if direction < 0 else '+'}{axis}" if axis else str(node)
-    names = tuple(name for name in (title, place) if name and name != "NONE")
-    return names or (place,), Variable(
-        _values(title, body, order, code, count),
-        "" if unit == "NONE" else unit,
-        1 / (step * second),
-        start * second,
-    )
+    names = tuple(name for name in (_said(title), *places) if name)
+    values = _values(title, body, order, code, count)
+    yield names, Variable(values, unit, 1 / (step * second), start * second)
 
 
-def _values(title: str, body: bytes, order: str, code: int, count: int) -> np.ndarray:
-    dtype, per_line, size = _REAL[code]
+def _said(text: str) -> str:
+    """A text of a heading, "" where it is said to be none."""
+    return "" if text.strip() == "NONE" else text.strip()
+
+
+def _whole(text: str) -> int:
+    return int(text) if text.strip().lstrip("+-").isdigit() else 0
+
+
+def _sense(direction: int) -> str:
+    return f"{'-' if direction < 0 else '+'}{'XYZ'[(abs(direction) - 1) % 3]}"
+
+
+def _lines_of(
+    title: str, body: bytes, order: str, code: int, count: int, even: tuple[float, float] | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies and complex values (count,); even: the first frequency and the step, else every
+    value stands behind its own frequency, of thirteen characters, or single as the file likes.
+    """
+    if even is not None:
+        pairs = _values(title, body, order, code, 2 * count).reshape(-1, 2)
+        return even[0] + even[1] * np.arange(count), pairs[:, 0] + 1j * pairs[:, 1]
+    if code == _COMPLEX[1] and order and len(body) == 20 * count:  # single before double
+        mixed = np.frombuffer(body, [("f", f"{order}f4"), ("v", f"{order}f8", 2)])
+        return mixed["f"].astype(float), mixed["v"][:, 0] + 1j * mixed["v"][:, 1]
+    if code == _COMPLEX[1] and not order:
+        rows = (line for line in body.split(b"\n") if line.strip())
+        body = b"\n".join(b" " * 7 + line.rstrip(b"\r") for line in rows)  # all twenty wide
+        threes = _values(title, body, order, code, 3 * count, 3)
+    else:
+        threes = _values(title, body, order, code, 3 * count)
+    threes = threes.reshape(-1, 3)
+    return threes[:, 0].copy(), threes[:, 1] + 1j * threes[:, 2]
+
+
+def _values(
+    title: str, body: bytes, order: str, code: int, count: int, per_line: int = 0
+) -> np.ndarray:
+    dtype, usual, size = _REAL[code]
+    per_line = per_line or usual
     if order:
         whole = len(body) // int(dtype[1]) * int(dtype[1])
         values = np.frombuffer(body[:whole], f"{order}{dtype}").astype(float)

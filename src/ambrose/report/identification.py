@@ -1123,14 +1123,19 @@ def identification_page(
     sections.append(
         Section("Measured over model", without, tuple(_comparisons(machine, checked)), beside)
     )
-    pictures = [Figure("Residual tests", residual_tests_figure(result), _TESTS)]
+    tested = bool(result.tests)  # not of frequency responses
+    pictures = [Figure("Residual tests", residual_tests_figure(result), _TESTS)] * tested
     if len(result.paths) > 1:
         pictures.append(
             Figure("Correlation and column cosine", correlation_figure(result), _CORRELATION)
         )
     sections.append(
         Section(
-            "Can it be believed?", "", tuple(pictures), (residual_tests_table(result),), folded=True
+            "Can it be believed?",
+            "",
+            tuple(pictures),
+            (residual_tests_table(result),) * tested,
+            folded=True,
         )
     )
     verdicts = _verdicts(checked, seal)
@@ -1167,7 +1172,9 @@ def seal_figure(fit: SealFit) -> Figure:
 
 
 def _comparisons(machine: Machine, checked: LoopIdentification) -> list[Figure]:
-    figures = []
+    figures: list[Figure] = []
+    if not checked.outputs:  # frequency responses, whose fit the table shows
+        return figures
     several = len(checked.outputs) > 1
     for number, piece in telling_records(checked.outputs):
         where = f", record {number}" if several else ""
@@ -1245,13 +1252,13 @@ def _facts(checked: LoopIdentification) -> tuple[tuple[str, str], ...]:
         f"{units.number(piece.record.values.shape[1] / piece.record.sample_rate_hz, 4)} s"
         for piece in checked.outputs
     ]
-    rate = units.number(checked.outputs[0].record.sample_rate_hz, 6)
+    rates = [units.number(piece.record.sample_rate_hz, 6) for piece in checked.outputs[:1]]
+    what = f" ({', '.join(spans)} at {rates[0]} Hz)" if rates else " (frequency responses)"
     delay, modes = checked.computing_delay, checked.bending_modes
     return (
         (
             "Records",
-            f"{', '.join(checked.provenance.records) or len(spans)} ({', '.join(spans)} at {rate} "
-            "Hz)",
+            f"{', '.join(checked.provenance.records) or len(spans)}{what}",
         ),
         ("Controller", checked.provenance.controller),
         ("Operating point", result.point.label),

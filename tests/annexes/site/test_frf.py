@@ -16,6 +16,7 @@ from ambrose.annexes.site.pages import frf_page
 from ambrose.cli import main
 from ambrose.judge.controller_file import read_controller
 from ambrose.record.files import read_record, write_record
+from ambrose.record.response_files import read_response
 from ambrose.report.page import render
 
 CHIRP = """
@@ -155,3 +156,19 @@ def test_refusals(place, tmp_path):
     write_record(replace(weak, values=noisy), tmp_path / "noisy.h5")
     done = call("frf", name, tmp_path / "noisy.h5", "--details")
     assert done.exit_code == 1 and "hardly known" in done.stdout
+
+
+def test_its_responses_are_what_identify_reads(place, tmp_path):
+    name, folder = place
+    options = ("--to-hz", "180", "--csv", tmp_path / "own.h5", "--json")
+    done = call("frf", name, folder / "sweep.h5", *options)
+    assert done.exit_code == 0, done.stderr
+    kept = read_response(tmp_path / "own.h5")
+    (point,) = respond(amb.load_machine(name), folder / "sweep.h5", band=(0, 360 * np.pi)).points
+    frf = point.loop.motion
+    for path in kept.paths:
+        one = frf.select(f"e_{path.injected}", f"y_{path.read}")
+        np.testing.assert_allclose(path.values, one.values[:, 0, 0])
+        np.testing.assert_allclose(path.variance, one.variance[:, 0, 0])
+    checked = call("record", "check", tmp_path / "own.h5", "--json")
+    assert json.loads(checked.stdout)["uses"][0]["usable"] == bool(kept.paths)

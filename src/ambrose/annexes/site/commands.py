@@ -506,7 +506,12 @@ METHODS = ("sines", "periods", "polynomials")
     default=None,
     help="Sines: seconds left out of each; default: up to 0.3.",
 )
-@click.option("--csv", "table", type=click.Path(path_type=Path), help="Every line as text (*.csv).")
+@click.option(
+    "--csv",
+    "table",
+    type=click.Path(path_type=Path),
+    help="Every line as text (*.csv), or as responses for identify (*.h5).",
+)
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="A page (*.html).")
 @AS_JSON
 def frf(
@@ -535,6 +540,7 @@ def frf(
     from ambrose.annexes.site.frf import respond, summary
     from ambrose.annexes.site.pages import response_tables
     from ambrose.machine.ordinary_file import write_text
+    from ambrose.record.response_files import write_response
 
     description = load(machine)
     law = load_controller(controller, description) if controller else None
@@ -552,7 +558,10 @@ def frf(
             progress=progress,
         )
         failures = []
-        if table is not None:
+        if table is not None and table.suffix.lower() in {".h5", ".hdf5"}:
+            kept_as = found.to_response()
+            failures.append(kept(lambda path: write_response(kept_as, path), table))
+        elif table is not None:
             failures.append(kept(lambda path: write_text(path, found.to_csv(), "table"), table))
         failures.append(kept_page(found, output, progress=progress))
     if as_json:

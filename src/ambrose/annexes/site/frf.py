@@ -44,6 +44,8 @@ from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.record.files import read_record
 from ambrose.record.record import Record
+from ambrose.record.response import Path as MeasuredPath
+from ambrose.record.response import Response as Measured
 
 _UNSURE = 0.3  # 95 % radius over the largest response, from which a line tells little
 _FEW = 0.1  # of the lines that may do so without a word
@@ -143,6 +145,28 @@ class Responses(Presented):
                                 float(radius[w, i, j]),
                                 float(frf.coherence[w, i]),
                             )
+
+    def to_response(self) -> Measured:
+        """The motion under excitation currents, as ``identify`` takes it. Raises InvalidInput for
+        several operating points, and for other excitations.
+        """
+        axes, frf = self.machine.axes, self.points[0].loop.motion
+        names = {f"e_{axis}": axis for axis in axes}
+        if len(self.points) > 1 or not set(frf.inputs) <= set(names):
+            raise InvalidInput(
+                "responses of one operating point under currents e_<axis>, each by itself, can be "
+                "kept as a file of responses; write the table as *.csv"
+            )
+        paths = [
+            MeasuredPath(
+                "motion", target[2:], names[source], frf.values[:, i, j], frf.variance[:, i, j]
+            )
+            for j, source in enumerate(frf.inputs)
+            for i, target in enumerate(frf.outputs)
+            if target.startswith("y_")
+        ]
+        point, rate = self.points[0].point, 1 / frf.dt
+        return Measured(self.machine.name, frf.omega, tuple(paths), point, sample_rate_hz=rate)
 
     def to_csv(self) -> str:
         """The rows as text, a line each."""

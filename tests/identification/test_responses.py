@@ -1,0 +1,246 @@
+"""Parameters from frequency responses; the responses are those of the tests' own rig."""
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path as FilePath
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import ambrose as amb
+from ambrose.cli import main
+from ambrose.core.checks import InvalidInput
+from ambrose.core.sampling import c2d
+from ambrose.identification.findings import Code
+from ambrose.judge.controller_file import write_controller
+from ambrose.machine.description import OperatingPoint
+from ambrose.record.response import Path, Response
+from ambrose.record.response_files import write_response
+from independent_rig import Rig, numbers_of
+
+MACHINE = "seal-rig"
+FILE = FilePath(amb.__file__).parent / "machines" / f"{MACHINE}.toml"
+HERTZ = np.geomspace(5, 1500, 80)
+UNKNOWN = ["bearing.*.force_per_current.*", "bearing.*.negative_stiffness.*"]
+
+
+@cache
+def machine():
+    return amb.load_machine(MACHINE)
+
+
+@cache
+def controller():
+    return amb.design(machine(), "pid").controller
+
+
+@cache
+def truth(factor=1.0):
+    """S_o, T_o, S_i, G, K (w, a, a) and the values that are true, of the tests' own rig."""
+    numbers = numbers_of(FILE)
+    values = {}
+    for k, bearing in enumerate(numbers["bearings"]):
+        for quantity, key in (("force_per_current", "ki"), ("negative_stiffness", "ks")):
+            bearing[key] = bearing[key] * (1 + factor * np.array([0.1, -0.08]) * (1 - 1.5 * k))
+            for axis, value in zip(("zeta", "eta"), bearing[key], strict=True):
+                values[f"bearing.{bearing['name']}.{quantity}.{axis}"] = value
+    rig = Rig(numbers, linear=True)
+    law = c2d(controller(), 1e-4, "tustin")
+    G, K = rig.responses((law.A, law.B, law.C, law.D), 2 * np.pi * HERTZ)
+    eye = np.eye(4)
+    S, inner = np.linalg.inv(eye + G @ K), np.linalg.inv(eye + K @ G)
+    return {"S": S, "T": G @ K @ S, "inner": inner, "motion": G @ inner, "G": G, "K": K}, values
+
+
+def measured(quantities="ST", *, noise=0.01, seed=1, stated=True, diagonal=False, edit=None):
+    found, _ = truth()
+    rng = np.random.default_rng(seed)
+    axes, paths = machine().axes, []
+    for quantity in quantities.split() if " " in quantities else quantities:
+        for i, j in np.ndindex(4, 4):
+            if diagonal and i != j:
+                continue
+            value = found[quantity][:, i, j] if quantity != "L" else 1 / found["S"][:, i, i] - 1
+            if quantity == "a":
+                value = found["motion"][:, i, i] / found["inner"][:, i, i]
+            floor = 0.1 * np.median(np.abs(found[quantity][:, 0, 0])) if quantity != "L" else 0.0
+            size = noise * np.hypot(np.abs(value), floor)
+            error = rng.normal(size=(2, len(HERTZ))) * size / np.sqrt(2)
+            value = value + error[0] + 1j * error[1]
+            variance = size**2 if stated and noise else None
+            paths.append(Path(quantity, axes[i], axes[j], value, variance))
+    paths = [edit(path) for path in paths] if edit else paths
+    point = OperatingPoint(0.0, 0.0)
+    return Response(machine().name, 2 * np.pi * HERTZ, tuple(paths), point, sample_rate_hz=1e4)
+
+
+def identify(response, **options):
+    return amb.identify(machine(), response, controller(), unknown=UNKNOWN, **options)
+
+
+def off(done):
+    _, values = truth()
+    return {row.path: (row.value / values[row.path] - 1, row) for row in done.parameters}
+
+
+@pytest.mark.parametrize(
+    "how",
+    [{}, {"quantities": "S"}, {"quantities": "L", "diagonal": True}, {"quantities": "G"},
+     {"quantities": "motion "}, {"diagonal": True}, {"stated": False}],
+)  # fmt: skip
+def test_magnets_from_responses_with_one_percent_noise(how):
+    done = identify(measured(**how))
+    errors = off(done)
+    limit = 0.01 if how.get("diagonal") else 0.004
+    assert max(abs(error) for error, _ in errors.values()) < limit, errors
+    for path, (error, row) in errors.items():
+        assert abs(error * row.value) < 4 * row.standard_deviation, path
+    assert not [finding for finding in done.findings if finding.code == Code.RESIDUALS]
+
+
+def edited(**changes):
+    return lambda path: replace(path, **{key: make(path) for key, make in changes.items()})
+
+
+def swapped(path):
+    other = {"A_zeta": "A_eta", "A_eta": "A_zeta"}
+    return replace(
+        path,
+        read=other.get(path.read, path.read),
+        injected=other.get(path.injected, path.injected),
+    )
+
+
+def decibels(path):
+    size = 20 * np.log10(np.abs(path.values))
+    return size * np.exp(1j * np.angle(path.values))
+
+
+MISTAKES = {
+    "sign": ("T", edited(values=lambda p: -p.values), "sign is turned"),
+    "loop with the minus in it": ("L", edited(values=lambda p: -p.values), "sign is turned"),
+    "S for T": ("S", edited(quantity=lambda p: "T"), "other of S and T"),
+    "T for S": ("T", edited(quantity=lambda p: "S"), "other of S and T"),
+    "lag positive": ("L", edited(values=lambda p: p.values.conj()), "a lag is positive"),
+    "dB for abs": ("G", edited(values=decibels), "in dB and below 1"),
+    "abs for dB": (
+        "L",
+        edited(values=lambda p: 10 ** (np.abs(p.values) / 20) * np.exp(1j * np.angle(p.values))),
+        "absolute, not in dB",
+    ),
+    "10 log10": (
+        "motion ",
+        edited(values=lambda p: np.sqrt(np.abs(p.values)) * np.exp(1j * np.angle(p.values))),
+        "10 log10",
+    ),
+    "radians for degrees": (
+        "L",
+        edited(values=lambda p: np.abs(p.values) * np.exp(1j * np.radians(np.angle(p.values)))),
+        "in radians, not degrees",
+    ),
+    "um/A for m/A": ("G", edited(values=lambda p: 1e6 * p.values), "1e.06 times larger"),
+    "axes exchanged": ("S", swapped, "A_zeta and A_eta are exchanged"),
+    "another controller": ("K", edited(values=lambda p: p.values[::-1] * 3), "that ran"),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_in_the_file_is_named_before_anything_is_fitted(name):
+    quantity, edit, words = MISTAKES[name]
+    response = measured(quantity, noise=0.01, stated=False, diagonal=quantity == "L", edit=edit)
+    with pytest.raises(InvalidInput, match=words) as error:
+        identify(response)
+    assert "; " in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"), [(2 * np.pi, "Hz, not rad/s"), (0.16, "rad/s, not Hz")]
+)
+def test_a_frequency_column_in_another_unit_is_named(factor, words):
+    response = measured("L", diagonal=True)
+    response = replace(response, omega=response.omega / factor)
+    with pytest.raises(InvalidInput, match=words):
+        identify(response)
+
+
+def test_a_resonance_that_nothing_models_is_a_finding_and_widens_the_intervals():
+    ringing = 1 + 0.2 / (1 + 6j * (HERTZ / 300 - 300 / HERTZ))  # a mode that nothing models
+    done = identify(measured("T", edit=edited(values=lambda p: p.values * ringing)))
+    assert any(finding.code == Code.RESIDUALS and "Hz" in str(finding) for finding in done.findings)
+    clean = identify(measured("T"))
+    pairs = zip(done.parameters, clean.parameters, strict=True)
+    assert all(a.standard_deviation > 1.5 * b.standard_deviation for a, b in pairs)
+
+
+def test_columns_that_repeat_others_count_once():
+    response = measured("S", stated=False)
+    axes = machine().axes
+    again = [
+        replace(p, quantity="T", values=float(p.read == p.injected) - p.values)
+        for p in response.paths
+    ]
+    both = identify(replace(response, paths=(*response.paths, *again)))
+    alone = identify(response)
+    for one, other in zip(both.parameters, alone.parameters, strict=True):
+        assert one.standard_deviation == pytest.approx(other.standard_deviation, rel=1e-6)
+    assert len(axes) == 4
+
+
+def test_refusals_before_anything_is_fitted():
+    response = measured("S", diagonal=True)
+    for words, given, options in (
+        ("another operating point", [response, replace(response, point=OperatingPoint(9.0, 0.0))], {}),
+        ("the machine of responses 1", replace(response, machine="other"), {}),
+        ("delay is not identified", response, {"unknown": "delay"}),
+        ("no axis 'X'", replace(response, paths=(replace(response.paths[0], read="X"),)), {}),
+        ("method closed-loop", response, {"method": "youla"}),
+        ("nothing says how often", replace(response, sample_rate_hz=None), {}),
+        ("not between all", measured("G", edit=None).__class__(
+            response.machine, response.omega, measured("G").paths[:5], response.point,
+            sample_rate_hz=1e4), {}),
+        ("say nothing about", replace(response, paths=response.paths[:1]), {"unknown": UNKNOWN}),
+    ):  # fmt: skip
+        with pytest.raises(InvalidInput, match=words):
+            amb.identify(machine(), given, controller(), **{"unknown": UNKNOWN, **options})
+
+
+def test_from_the_command_line(tmp_path):
+    """A CSV with gain in dB and phase in degrees, from the check to the machine file."""
+    run = lambda *words: CliRunner().invoke(main, [str(word) for word in words])  # noqa: E731
+    write_controller(tmp_path / "K.json", controller())
+    write_response(measured("S", diagonal=True), tmp_path / "plain.csv")
+    response = measured("L", diagonal=True, stated=False)
+    names, columns = ["frequency [Hz]"], [HERTZ]
+    for path in response.paths:
+        names += [f"L {path.read} gain [dB]", f"L {path.read} phase [deg]"]
+        columns += [20 * np.log10(np.abs(path.values)), np.degrees(np.angle(path.values))]
+    head = "# machine: seal-rig\n# sample_rate_hz: 10000\n# speed_rad_s: 0\n# seal_pressure_pa: 0\n"
+    with (tmp_path / "sweep.csv").open("w") as file:
+        file.write(head + ",".join(names) + "\n")
+        np.savetxt(file, np.column_stack(columns), delimiter=",")
+    checked = run("record", "check", tmp_path / "sweep.csv", MACHINE, "--json")
+    assert checked.exit_code == 0 and json.loads(checked.stdout)["uses"][0]["usable"]
+    unknown = [word for path in UNKNOWN for word in ("--unknown", path)]
+    where = ["--report", tmp_path / "page.html", "-o", tmp_path / "found.toml", "--json"]
+    done = run("identify", MACHINE, tmp_path / "sweep.csv", "--controller", tmp_path / "K.json",
+               *unknown, *where)  # fmt: skip
+    assert done.exit_code == 0, (done.stdout, done.stderr)
+    assert "frequency responses" in (tmp_path / "page.html").read_text()
+    _, values = truth()
+    found = amb.load_machine(str(tmp_path / "found.toml"))
+    for bearing in found.bearings:
+        for axis, value in zip(("zeta", "eta"), bearing.force_per_current, strict=True):
+            assert value == pytest.approx(
+                values[f"bearing.{bearing.name}.force_per_current.{axis}"], rel=0.01
+            )
+    assert run("convert", tmp_path / "sweep.csv", "-o", tmp_path / "own.h5").exit_code == 0
+    again = run("identify", MACHINE, tmp_path / "own.h5", "--controller", tmp_path / "K.json",
+                *unknown, "-o", tmp_path / "again.toml", "--json")  # fmt: skip
+    first, second = (json.loads(one.stdout)["parameters"] for one in (done, again))
+    assert [row["value"] for row in first] == pytest.approx([row["value"] for row in second])
+    wrong = (tmp_path / "sweep.csv").read_text().replace("[dB]", "[abs]")
+    (tmp_path / "wrong.csv").write_text(wrong)
+    refused = run("identify", MACHINE, tmp_path / "wrong.csv", "--controller", tmp_path / "K.json")
+    assert refused.exit_code == 2 and "state dB" in refused.stderr
