@@ -90,7 +90,8 @@ def imports_of(module):
     needed = set(package_graph().find_modules_directly_imported_by(module))
     if "ambrose.registry" in needed:
         file = ROOT.joinpath("src", *module.split("."))
-        file = file / "__init__.py" if file.is_dir() else file.with_suffix(".py")
+        package = file / "__init__.py"  # the folder alone is what a moved package leaves behind
+        file = package if package.exists() else file.with_suffix(".py")
         for kind in re.findall(r'registered\("([\w ]+)"\)', file.read_text(encoding="utf-8")):
             needed |= {str(place).partition(":")[0] for place in registered(kind).values()}
     return needed

@@ -150,9 +150,7 @@ def test_a_rate_wires_delay_judge_and_order(plant, monkeypatch):
         return pid_synthesis(plant)
 
     synthesis = "ambrose.synthesis"
-    monkeypatch.setattr(
-        f"{synthesis}.mu.synthesis.mu_synthesis", lambda problem, **_: pid_synthesis(plant)
-    )
+    monkeypatch.setattr(f"{synthesis}.mu.mu_synthesis", lambda problem, **_: pid_synthesis(plant))
     monkeypatch.setattr(f"{synthesis}.fixed_order.polish.polish_synthesis", polished)
     monkeypatch.setattr(
         f"{synthesis}.design.reduce_order",

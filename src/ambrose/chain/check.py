@@ -67,7 +67,7 @@ from ambrose.report.theme import quantity
 
 
 def rows_of(facts: dict[str, Any]) -> list[tuple[str, str]]:
-    """The facts of a machine (``chain.stages.facts``) in words, as rows of quantity and value."""
+    """The facts of a machine (``chain.check.facts``) in words, as rows of quantity and value."""
     if "axis" in facts:
         return list(axial_rows(facts, quantity))
     unstable = ", ".join(f"{re:.1f}{im + 0.0:+.1f}j" for re, im in facts["unstable_poles_rad_s"])
