@@ -32,11 +32,13 @@ from ambrose.model.static_load import LEAST_AMPLIFICATION, allowed_amplification
 
 # Closed-loop poles with damping and whirl direction.
 #
-# | check | what | unit | |---|---|---| | stability.abscissa | largest real part of the closed-loop
-# poles; must be negative | rad/s | | poles.log_decrement.lowest | smallest log dec to the first
-# forward mode or top speed | - | | poles.log_decrement.least | smallest log dec of all poles,
-# bending and controller included | - | | poles.damping.above | smallest damping ratio above top
-# speed, for a damping_above | - | | poles.damping.least | smallest damping ratio of all poles | - |
+# | check | what | unit |
+# |---|---|---|
+# | stability.abscissa | largest real part of the closed-loop poles; must be negative | rad/s |
+# | poles.log_decrement.lowest | smallest log dec to the first forward mode or top speed | - |
+# | poles.log_decrement.least | smallest log dec of all poles, bending and controller included | - |
+# | poles.damping.above | smallest damping ratio above top speed, for a damping_above | - |
+# | poles.damping.least | smallest damping ratio of all poles | - |
 #
 # The curve "poles" holds every closed-loop pole.
 

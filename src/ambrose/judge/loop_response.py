@@ -348,13 +348,16 @@ def _grid_peak(omega: np.ndarray, values: np.ndarray) -> Peak:
 # Sensitivities, complementary and control sensitivity, compliance: per axis and as maximum singular
 # value.
 #
-# | check | what | unit | |---|---|---| | sensitivity.output.<axis> | peak of a diagonal element of
-# S_o (ISO 14839-3, others closed) | - | | sensitivity.output.max | peak of its maximum singular
-# value | - | | sensitivity.input.<axis> | peak of the diagonal element of S_i | - | |
-# sensitivity.input.max | peak of its maximum singular value | - | | complementary.<axis>, .max |
-# the same of T_o = I - S_o | - | | control.<axis>, .max | the same of K S_o | A/m | |
-# control.roll_off | peak of K S_o times sqrt(1 + (w/w_r)^2), for a roll_off w_r | A/m | |
-# compliance.<axis>, .max | the same of force to displacement at the bearings | m/N |
+# | check | what | unit |
+# |---|---|---|
+# | sensitivity.output.<axis> | peak of a diagonal element of S_o (ISO 14839-3, others closed) | - |
+# | sensitivity.output.max | peak of its maximum singular value | - |
+# | sensitivity.input.<axis> | peak of the diagonal element of S_i | - |
+# | sensitivity.input.max | peak of its maximum singular value | - |
+# | complementary.<axis>, .max | the same of T_o = I - S_o | - |
+# | control.<axis>, .max | the same of K S_o | A/m |
+# | control.roll_off | peak of K S_o times sqrt(1 + (w/w_r)^2), for a roll_off w_r | A/m |
+# | compliance.<axis>, .max | the same of force to displacement at the bearings | m/N |
 #
 # Each has a curve of the name before the last dot.
 

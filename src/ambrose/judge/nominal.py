@@ -59,11 +59,13 @@ from ambrose.model.static_load import Unbalance, magnet_coefficients, residual_u
 # The magnets of the axis along the shaft against their process thrust: at rest, and while it
 # changes.
 #
-# | check | what | unit | |---|---|---| | axial.capacity | process thrust over the largest static
-# force against it | - | | axial.current | static control current that holds it | A | |
-# axial.change.displacement_0p | largest motion while the thrust goes from end to end | m | |
-# axial.change.current_0p | largest control current on the way, the static one with it | A | |
-# axial.change.voltage_0p | slew: L di/dt of a coil on the way, L at rest if none is given | V |
+# | check | what | unit |
+# |---|---|---|
+# | axial.capacity | process thrust over the largest static force against it | - |
+# | axial.current | static control current that holds it | A |
+# | axial.change.displacement_0p | largest motion while the thrust goes from end to end | m |
+# | axial.change.current_0p | largest control current on the way, the static one with it | A |
+# | axial.change.voltage_0p | slew: L di/dt of a coil on the way, L at rest if none is given | V |
 #
 # The change is from the least to the largest thrust of all operating points within load_time, or
 # back; the loop is the linear one of the point. Rows of the change are absent where there is none.
@@ -228,10 +230,12 @@ def below_stiffness(margin: float) -> str:
 # Response to a short pulse of excitation current: settling time, peak displacements, currents and
 # forces.
 #
-# | check | what | unit | |---|---|---| | impulse.settling | time after the pulse until all
-# displacements stay in the band | s | | impulse.displacement_0p | largest measured displacement | m
-# | | impulse.current_0p | largest control current of the axis nearest to its limit | A | |
-# impulse.force_0p | largest magnetic force k_i i + k_s q of the axis nearest to its limit | N |
+# | check | what | unit |
+# |---|---|---|
+# | impulse.settling | time after the pulse until all displacements stay in the band | s |
+# | impulse.displacement_0p | largest measured displacement | m |
+# | impulse.current_0p | largest control current of the axis nearest to its limit | A |
+# | impulse.force_0p | largest magnetic force k_i i + k_s q of the axis nearest to its limit | N |
 #
 # Curves: "impulse.displacement" and "impulse.current", the response to the pulse on the axis that
 # settles last.
