@@ -148,6 +148,14 @@ def test_a_file_with_everything(tmp_path):
             'name = "x"\nduration = 1.0\nspeed = 1.0\n[[unbalance]]\nport = "A"\namount = true',
             "amount is True",
         ),
+        (
+            'name = "x"\nduration = 1.0\nspeed = 1.0\n[[unbalance]]\nport = "A"\namount = "1e308 g mm"',
+            "amount is '1e308 g mm', but must be at most 1e\\+60",
+        ),
+        (
+            'name = "x"\nduration = 1.0\n[[pulse]]\nsignal = "e_A"\namplitude = "-1e70 A"',
+            "amplitude is '-1e70 A', but must be at most",
+        ),
         ("name = ", "scenario .*bad.toml"),
     ],
 )

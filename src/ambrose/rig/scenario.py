@@ -789,7 +789,20 @@ def _build(
         raise InvalidInput(f"{where}{error}") from error
 
 
-def _value(key: str, value: Any, table: Mapping[str, Any]) -> Any:
+_MOST = 1e60  # as of a machine's numbers: what is larger overflows in its powers
+
+
+def _value(key: str, given: Any, table: Mapping[str, Any]) -> Any:
+    """What stands under a key, in SI; a number beyond all that a calculation bears is refused."""
+    value = _read(key, given, table)
+    for number in value if isinstance(value, tuple) else (value,):
+        if isinstance(number, float) and abs(number) > _MOST:
+            wanted = f"at most {_MOST:g} in SI units"
+            raise invalid(key, repr(given), wanted, "look for a wrong exponent or unit")
+    return value
+
+
+def _read(key: str, value: Any, table: Mapping[str, Any]) -> Any:
     if key in _TEXTS:
         if not isinstance(value, str):
             raise InvalidInput(f"{key} is {value!r}, but must be a text; write it in quotes")
