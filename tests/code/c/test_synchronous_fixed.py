@@ -3,6 +3,7 @@ faults, no sum beyond 64 bits, and what rounding does against the bounds that ar
 """
 
 import math
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from ambrose.code.block.synchronous_twin import ONE, SynchronousTwin, to_words
+from ambrose.code.c.compiled import find_compiler
 from ambrose.code.c.synchronous import CompiledWords, generate_words, table_found
 from ambrose.core.checks import InvalidInput
 from ambrose.law.synchronous_block import (
@@ -157,6 +159,18 @@ def test_no_sum_leaves_its_word_under_the_hardest_signals():
         current = (ONE * rng.choice([-1, 1], 4)).tolist()
         assert twin.step(pulse, error, current) == code.step(pulse, error, current)
     assert [run.re + run.im for run in twin.running] == code.stored
+
+
+@compiled
+@pytest.mark.parametrize("bits", [16, 32])
+def test_the_c_converts_nothing_in_silence(tmp_path, bits):
+    """-Wconversion of whole numbers: a word that is cut off without being asked for."""
+    for name, text in generate_words(to_words(scaled(), ERROR, CURRENT), bits, "unbalance").items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror"]
+    command = [find_compiler(), *flags, "-c", "unbalance.c", "-o", "unbalance.o"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_the_report_states_the_bounds_and_what_cannot_be_held_is_refused():
