@@ -461,16 +461,19 @@ class Screen:
     lines: int = _LINES
 
     def show(self) -> None:
-        """Print it; the width is that of the terminal, or of COLUMNS, up to 100."""
+        """Print it; the width is that of the terminal, or of COLUMNS, up to 100. What nobody's
+        terminal takes keeps each sentence on one line, for programs that read it.
+        """
         width = max(min(_WIDTH, shutil.get_terminal_size((_WIDTH, 0)).columns), _LEAST)
-        _write(sys.stdout, "".join(f"{line}\n" for line in self.fitted(width)))
+        broken = sys.stdout.isatty() or "COLUMNS" in os.environ
+        _write(sys.stdout, "".join(f"{line}\n" for line in self.fitted(width, broken)))
 
-    def fitted(self, width: int) -> list[str]:
-        """Its lines at that width."""
+    def fitted(self, width: int, broken: bool = True) -> list[str]:
+        """Its lines at that width; broken: sentences, too, which are counted so in any case."""
         head = _wrapped(self.verdict, width) if self.verdict else []
         parts = [(part, self._drawn(part, width)) for part in self.parts]
         if len(head) + sum(len(lines) for _, lines in parts) <= self.lines:
-            return head + [line for _, lines in parts for line in lines]
+            return _joined([("", head), *parts], broken)
         # notes first: whole ones as long as a third of the screen holds them, the others counted
         room = max(
             self.lines // 3,
@@ -502,13 +505,24 @@ class Screen:
         counted = [f"{rows} more rows"] * (rows > 0)
         counted += [f'{number} more of "{kind}"' for kind, number in unsaid.items()]
         rest = f"Not shown: {', '.join(counted)}. --details prints everything."
-        return head + [line for _, lines in shown for line in lines] + _wrapped(rest, width)[:1]
+        return _joined([("", head), *shown, ("", _wrapped(rest, width)[:1])], broken)
 
     @staticmethod
     def _drawn(part: str | _Table, width: int) -> list[str]:
         if isinstance(part, str):
             return _wrapped(part, width)
         return [line.rstrip() for line in part.drawn(width, plain=True).splitlines()]
+
+
+def _joined(parts: Sequence[tuple[str | _Table, list[str]]], broken: bool) -> list[str]:
+    """The lines of all parts; not broken: a sentence is one."""
+    return [
+        line
+        for part, lines in parts
+        for line in (
+            lines if broken or isinstance(part, _Table) or not lines else [" ".join(lines)]
+        )
+    ]
 
 
 def _can_be_cut(part: str | _Table) -> bool:

@@ -18,6 +18,7 @@ from ambrose.terminal import (
     kept,
     kept_page,
     load,
+    one_screen,
     print_table,
     progress_shown,
     quantity_given,
@@ -314,22 +315,24 @@ def _print(done: Any, compared: Any) -> None:
     from ambrose.report import identification as tables
     from ambrose.report.identification import static_table
 
-    if done.method == "static":
-        _table(static_table(done))
-    else:
-        _table(tables.parameters_table(done.result))
+    values = static_table(done) if done.method == "static" else None
+    values = values or tables.parameters_table(done.result)
+    if (screen := one_screen()) is not None:
+        # what was found stands in full; how well it fits is among the details
+        screen.lines = min(60, max(screen.lines, 28 + len(values.cells)))
+    _table(values)
     if done.repeats is not None:
         _table(tables.repeats_table(done.repeats))
-    if done.method != "static":
+    if done.method != "static" and screen is None:
         _table(tables.fit_table(done.result))
         if done.result.turning:
             _table(tables.turning_table(done.result))
         if not all(test.passed for test in done.result.tests):
             _table(tables.residual_tests_table(done.result), only_failed=True)
-        if done.seal is not None:
-            _table(tables.seal_table(done.seal.fit))
-            if done.seal.form == "line":
-                _table(tables.seal_lines_table(done.seal.fit))
+    if done.method != "static" and done.seal is not None:
+        _table(tables.seal_table(done.seal.fit))
+        if done.seal.form == "line":
+            _table(tables.seal_lines_table(done.seal.fit))
     if compared is not None:
         _table(tables.compared_table(compared))
     say_verdict(f"Verdict: {done.verdict}", in_full=f"Verdict: {done.verdict}")
@@ -337,6 +340,8 @@ def _print(done: Any, compared: Any) -> None:
         say(f"Warning: {finding}")
     for remark in () if done.method == "static" else done.remarks:
         say(f"Note: {remark}.")
+    if screen is not None:
+        say("How well it fits: --details, or on the page of --report.")
 
 
 def _table(table: Any, only_failed: bool = False) -> None:

@@ -235,10 +235,15 @@ class CompiledSynchronous(_CompiledBeside):
         self.faults = 0
 
     def step(
-        self, pulse: float, errors: np.ndarray, currents: np.ndarray | None = None, **flags: bool
+        self,
+        pulse: float,
+        errors: np.ndarray,
+        currents: np.ndarray | None = None,
+        *flags: bool,
+        **named: bool,
     ) -> np.ndarray:
         """As ``SynchronousBlock.step``."""
-        c, self.faults = self._step(pulse, errors, currents, **flags)
+        c, self.faults = self._step(pulse, errors, currents, *flags, **named)
         return c.astype(float)
 
     @property
@@ -387,10 +392,15 @@ class CompiledWords(_CompiledBeside):
         super().__init__(words.law, "fixed32", generate_words(words, 32), None)
 
     def step(
-        self, pulse: int, errors: Sequence[int], currents: Sequence[int], **flags: bool
+        self,
+        pulse: int,
+        errors: Sequence[int],
+        currents: Sequence[int],
+        *flags: bool,
+        **named: bool,
     ) -> list[int]:
         """As ``SynchronousTwin.step``."""
-        return cast(list[int], self._step(pulse, errors, currents, **flags)[0].tolist())
+        return cast(list[int], self._step(pulse, errors, currents, *flags, **named)[0].tolist())
 
     @property
     def faults(self) -> tuple[int, ...]:
