@@ -343,7 +343,7 @@ def test_the_command_says_doubts_and_ends_with_one(tmp_path):
     assert (
         sound.exit_code == 0
         and "note: no sample_time in [controller]" in sound.output
-        and "implausible" not in sound.output
+        and "implausible: " not in sound.output
     )
 
 
