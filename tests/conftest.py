@@ -51,6 +51,7 @@ def pytest_addoption(parser):
 
 def pytest_configure(config):
     """What differs from the main branch is asked of git once, and the workers are told."""
+    os.environ.pop("COLUMNS", None)  # a worker has that of the terminal that started it
     if hasattr(config, "workerinput"):
         config.stash[LEFT] = config.workerinput["left"]
         return
