@@ -138,6 +138,9 @@ def holds_responses(path: str | File) -> bool:
     """
     path = File(path)
     try:
+        # a pipe would never end, nor would what the system makes up as it is read
+        if not path.is_file() or not path.stat().st_size:
+            return False
         if path.suffix.lower() in {".h5", ".hdf5"}:
             with opened(path) as file:
                 return "frequency" in file
