@@ -76,6 +76,7 @@ def identified(place):
         out,
         "--report",
         page,
+        "--details",
     )
     return done, out, page
 
