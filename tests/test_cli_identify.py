@@ -76,7 +76,6 @@ def identified(place):
         out,
         "--report",
         page,
-        "--details",
     )
     return done, out, page
 

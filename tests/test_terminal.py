@@ -594,9 +594,11 @@ def screen_of(monkeypatch, *arguments):
 
 
 def bounded(screen, most=40):
-    """At 80 and 100 columns: no more lines, no wider, and no word torn but a path or a long name."""
+    """At 80 and 100 columns: no more lines, no wider, and no word torn or lost but a path longer
+    than half a line.
+    """
     whole = {word for line in screen.fitted(1000) for word in line.split()}
-    long = [word for word in whole if len(word) > terminal._LONG_WORD]
+    long = [word for word in whole if len(word) > 40]
     for width in (80, 100):
         lines = screen.fitted(width)
         assert 0 < len(lines) <= most, "\n".join(lines)

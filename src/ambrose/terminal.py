@@ -85,7 +85,7 @@ _SILENCE = 30.0  # s
 _WIDTH, _LINES = 100, 40  # of one screen, in columns and lines
 _FULL = 140  # columns of the tables of --details where there is no terminal
 _LEAST = 60  # columns of a terminal, below which lines are torn
-_LONG_WORD, _LEAD = 16, 30  # characters
+_LEAD = 30  # characters
 _SCREEN = "one screen"  # in the meta data of click's context
 _said: list[bool] = []  # whether this command has printed its JSON object
 # nobody reads: as Unix, as Windows, and as a terminal that was closed says it
@@ -427,12 +427,10 @@ class _Table:
         )
         table = Table(title=_worded(self.title), title_justify="left", title_style="bold", **frame)
         texts = [[_worded(cell) for cell in row] for row in self.rows]
-        for k, column in enumerate(map(_worded, self.columns)):
-            words = " ".join([column, *(row[k] for row in texts)]).split(" ")
-            longest = max(len(word) for word in words)
-            # a word is not torn for the sake of a neighbour, unless it is a path or a name
-            least = longest if plain and longest <= _LONG_WORD else None
-            table.add_column(column, overflow="fold", min_width=least)
+        columns = [_worded(column) for column in self.columns]
+        widths = [None] * len(columns) if not plain else _widths([columns, *texts], console.width)
+        for column, size in zip(columns, widths, strict=True):
+            table.add_column(column, overflow="fold", width=size)
         for i, row in enumerate(texts):
             table.add_row(*row, style=self.marks[i] if self.marks else None)
         with console.capture() as capture:
@@ -448,6 +446,23 @@ class _Table:
         return replace(
             self, rows=[self.rows[i] for i in keep], marks=[marks[i] for i in keep], left=left
         )
+
+
+def _widths(rows: Sequence[Sequence[str]], width: int) -> list[int]:
+    """The width of every column, two spaces between them, in lines of ``width``: the widest are
+    narrowed first, none below its longest word while another still can be. A word, path or name is
+    not torn for the sake of a neighbour.
+    """
+    cells = list(zip(*rows, strict=True))
+    found = [max(map(len, column)) for column in cells]
+    words = [max(len(word) for cell in column for word in cell.split(" ")) for column in cells]
+    for least in (words, [1] * len(found)):
+        while sum(found) + 2 * len(found) - 1 > width:
+            k = max(range(len(found)), key=lambda k: (found[k] > least[k], found[k]))
+            if found[k] <= least[k]:
+                break
+            found[k] -= 1
+    return found
 
 
 @dataclass
