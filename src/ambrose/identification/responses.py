@@ -407,6 +407,8 @@ class Problem:
             f"fitted to {self.count} frequency responses at {lines} frequencies; model and "
             f"measurement agree within 10 % and 10 degrees up to {min(reach) / _CYCLE:.4g} Hz",
             *(("no noise is stated: the residuals' size stands for it",) if self.unstated else ()),
+            # exchanged names give exchanged values, and as good a fit
+            *((_NAMES,) if all(path.read == path.injected for _, path in self.items) else ()),
         )
 
 
@@ -414,6 +416,10 @@ def _times(factor: float, path: Path) -> np.ndarray:
     return factor * path.values
 
 
+_NAMES = (
+    "no response is between two axes, so that nothing tells whether the file has exchanged axes: "
+    "each axis has its values by its name in the file"
+)
 _OTHER = "it is the other of S and T: exchange S and T"
 _CORRECTIONS: Mapping[str, Callable[[Path], np.ndarray]] = {
     "its sign is turned: add sign = -1 to the path, or turn the channel": lambda p: -p.values,
