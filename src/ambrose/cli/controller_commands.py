@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -602,21 +603,17 @@ def _say_what_decides(result: Verification, unproved: Sequence[str]) -> None:
         if result.timing == CONTINUOUS
         else f"The loop is {timing_in_words(result.timing)}."
     )
-    labels = [checks.label for checks in result.points]
+    # by point and reason, as model.uncertainty.not_varied words them; another reason in full
+    left = list(result.not_varied)
     for ending, why in (("(zero here)", "zero there"), (" only)", "given for other points")):
-        counts = {
-            label: count
-            for label in labels
-            if (
-                count := sum(
-                    words.startswith(f"{label}: ") and words.endswith(ending)
-                    for words in result.not_varied
-                )
-            )
-        }
+        ended = [words for words in left if words.endswith(ending)]
+        left = [words for words in left if not words.endswith(ending)]
+        counts = Counter(words.partition(": ")[0] for words in ended)
         if counts:
             where = ", ".join(f"{count} at {label}" for label, count in counts.items())
             say(f"Parameters not varied ({why}): {where}.")
+    for words in left:
+        say(f"Not varied around {words}.")
     if result.over_speed:
         say(f"Above the machine's top speed: {'; '.join(result.over_speed)}.")
     for sentence in unproved:
