@@ -711,7 +711,7 @@ def test_two_browsers_see_one_project(tour, server, chromium, folder):
 
 
 def test_a_server_that_is_killed_comes_back_with_what_there_was(chromium, tmp_path, request):
-    shutil.copy(MACHINE, tmp_path / "machine.toml")
+    begin(Project(tmp_path), "turboexpander")
     server = Process(tmp_path)
     page = new_page(chromium)
     page.goto(server.address() + "#jobs")
@@ -719,8 +719,9 @@ def test_a_server_that_is_killed_comes_back_with_what_there_was(chromium, tmp_pa
     page.wait_for_selector("main .panel")
     page.evaluate(start, {"kind": "check"})
     page.wait_for_selector("h2:text-matches('^check-.*: done')")
-    page.evaluate(start, {"kind": "design", "method": "mu"})
-    page.wait_for_selector("h2:text-matches('^synthesize-.*: running')")
+    # half a minute's work: it is not over by itself before the kill
+    page.evaluate(start, {"kind": "study"})
+    page.wait_for_selector("h2:text-matches('^study-.*: running')")
     left = [
         pid for task in Path(f"/proc/{server.process.pid}/task").iterdir() for pid in children(task)
     ]
@@ -731,8 +732,8 @@ def test_a_server_that_is_killed_comes_back_with_what_there_was(chromium, tmp_pa
     request.addfinalizer(again.end)
     page.goto(again.address() + "#jobs")
     page.reload()
-    page.wait_for_selector("h2:has-text('synthesize-')")
+    page.wait_for_selector("h2:has-text('study-')")
     words = page.locator("h2").all_text_contents()
-    assert [w for w in words if w.startswith("synthesize-") and ": stopped" in w], words
+    assert [w for w in words if w.startswith("study-") and ": stopped" in w], words
     assert [w for w in words if w.startswith("check-") and ": done" in w], words
     page.context.close()
