@@ -297,7 +297,7 @@ def _follow(chromium, server, folder):
     assert "touches" not in page.evaluate(FACTS)
     choose(page, server, "pace", "fast")  # as the page does not: quicker
     press(page, server, "Excite")
-    record(page, server, 10)
+    record(page, server, 5)
     go(page, "identification")
     assert page.locator("[name=record]").input_value().startswith("live-pid-")
     assert page.locator("[name=controller]").input_value() == "pid.json"
@@ -322,7 +322,7 @@ def _follow(chromium, server, folder):
     press(page, server, "Switch")
     runs_until(page, server, f"{FACTS}.includes('tuned.json') && {FACTS}.includes('excited')")
     assert "touches" not in page.evaluate(FACTS)
-    record(page, server, 10)
+    record(page, server, 5)
     press(page, server, "Stop exciting")
     go(page, "envelope")
     assert "PASSED: " in job(page, "Verify", "verify")
