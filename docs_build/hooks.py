@@ -21,7 +21,17 @@ from mkdocs.structure.files import File
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from docs_build import DOCS, ROOT, ahead, command_line, gallery, machine_file, notebooks, reference
+from docs_build import (
+    DOCS,
+    ROOT,
+    ahead,
+    command_line,
+    gallery,
+    machine_file,
+    notebooks,
+    reference,
+    scenario_file,
+)
 from docs_build.figures import UnknownFigure, render, stored
 
 
@@ -46,6 +56,7 @@ def on_files(files, config):
         **notebooks.pages(),
         **reference.pages(),
         "reference/command-line.md": command_line.page(),
+        "scenario-file.md": scenario_file.page(),
         "contributing.md": from_root("CONTRIBUTING.md"),
         "changelog.md": from_root("CHANGELOG.md"),
     }
