@@ -26,7 +26,7 @@ from ambrose.judge.checks import Check, Curve, information, judge
 from ambrose.law.law import LawLike
 from ambrose.law.loop import closed_loop
 from ambrose.machine.criteria import SENSITIVITY_RANGE, TWO_PI, Demand, demand
-from ambrose.machine.description import Requirements
+from ambrose.machine.description import OperatingPoint, Requirements
 from ambrose.model.plant import Plant
 from ambrose.model.static_load import LEAST_AMPLIFICATION, allowed_amplification
 
@@ -394,11 +394,15 @@ def campbell_curves(diagram: CampbellMap) -> list[Curve]:
     ]
 
 
-def speed_stability_check(along: AlongSpeed) -> Check:
-    """Stability of a loop that was followed over a range of speeds, at the worst of them."""
+def speed_stability_check(along: AlongSpeed, point: OperatingPoint | None = None) -> Check:
+    """Stability of a loop that was followed over a range of speeds, at the worst of them, all else
+    as at a point.
+    """
     speeds, values = along.speeds, along.abscissa
     k = int(np.argmax(values))
     span = f"from {speeds[0] / TWO_PI:.4g} to {speeds[-1] / TWO_PI:.4g} Hz"
+    if point is not None and point.seal_pressure:
+        span += f" at {point.seal_pressure / 1e5:.4g} bar"
     lost = [
         f"from {part[0] / TWO_PI:.4g} to {part[-1] / TWO_PI:.4g} Hz"
         for part in np.split(speeds, np.flatnonzero(np.diff(values >= 0)) + 1)

@@ -391,6 +391,8 @@ def check(
     omega: ArrayLike | None = None,
     progress: Progress | None = None,
     plant_at: Callable[[float], Plant] | None = None,
+    law_at: Callable[[Plant], StateSpace] | None = None,
+    covered: tuple[float, float] | None = None,
 ) -> Checks:
     """The verdict on ``controller`` (err -> u, continuous or sampled) around ``plant``.
 
@@ -398,8 +400,9 @@ def check(
     points around lightly damped closed-loop poles are added (default: 0.5 Hz to five times the
     range of ISO 14839-3). progress(stage, fraction) is called between stages. plant_at(speed
     [rad/s]) -> Plant: with it stability and unbalance are checked along the machine's speed range
-    with the rotor assembled anew at every speed. An unstable loop yields stable=False, the check
-    "stability.abscissa" that names its poles, and the pole curve. Raises InvalidInput for a
+    with the rotor assembled anew at every speed, under law_at(plant) (None: ``controller``), over
+    the speeds covered [rad/s] (None: the whole range). An unstable loop yields stable=False, the
+    check "stability.abscissa" that names its poles, and the pole curve. Raises InvalidInput for a
     controller of the wrong size or a grid that does not ascend from a positive frequency.
     """
     tell = progress or (lambda stage, fraction: None)
@@ -441,7 +444,13 @@ def check(
             checks, curves, unbalance_checks(plant, response, evaluator, requirements, residual)
         )
     if plant_at is not None and plant.machine.operation.speed_range[1] > 0:
-        _extend(checks, curves, _assembled(plant_at, plant, controller, requirements, residual))
+        span = covered or plant.machine.operation.speed_range
+        under = law_at or (lambda other: controller)
+        _extend(
+            checks,
+            curves,
+            _assembled(plant_at, plant, controller, under, span, requirements, residual),
+        )
     tell("time response", 0.85)
     _extend(checks, curves, pulse_checks(pulse_response(closed, plant), plant, requirements))
     tell("done", 1.0)
@@ -535,21 +544,23 @@ def _assembled(
     plant_at: Callable[[float], Plant],
     plant: Plant,
     controller: LawLike,
+    law_at: Callable[[Plant], StateSpace],
+    span: tuple[float, float],
     requirements: Requirements,
     residual: Unbalance | None,
 ) -> tuple[list[Check], list[Curve]]:
-    """Stability and the unbalance curve along the speed range, with the rotor assembled anew at
+    """Stability and the unbalance curve along speeds [rad/s], with the rotor assembled anew at
     every speed.
     """
-    low, high = plant.machine.operation.speed_range
+    low, high = span
     even = np.linspace(low, high, _STABILITY_SPEEDS)
     knots = speed_knots(plant.machine, low, high)
     along = follow(
-        lambda w: closed_loop(plant_at(w), controller),
+        lambda w: closed_loop(at := plant_at(w), law_at(at)),
         np.unique([*even, *knots]),
         critical=residual is not None,
     )
-    stability = speed_stability_check(along)
+    stability = speed_stability_check(along, plant.point)
     if residual is None or not stability.passed:
         return [stability], []
     low = max(low, 0.02 * high)
@@ -557,7 +568,7 @@ def _assembled(
     if requirements.unbalance_to is not None and speeds[0] < requirements.unbalance_to < high:
         speeds = np.unique(np.append(speeds, requirements.unbalance_to))
     curve = replace(
-        unbalance_curve(plant_at, speeds, controller, residual, along.critical),
+        unbalance_curve(plant_at, speeds, controller, residual, along.critical, law_at),
         name="unbalance.assembled_0p",
     )
     return [stability, assembled_check(curve, requirements)], [curve]

@@ -733,15 +733,17 @@ def unbalance_curve(
     controller: LawLike,
     residual: Unbalance | None = None,
     critical: Sequence[tuple[float, float]] = (),
+    law_at: Callable[[Plant], LawLike] | None = None,
 ) -> Curve:
     """Unbalance orbits with the rotor's matrices assembled anew at every speed (gyroscopic forces,
     speed-dependent seals).
 
-    plant_at: speed [rad/s] -> Plant, a stable loop with the controller; speeds (s,) [rad/s],
-    ascending, positive. residual: default that of the machine. critical: (speed, damping) [rad/s]
-    of the loop's critical speeds, around which speeds are packed. The curve has the lines of the
-    fixed-speed curve "unbalance"; at every large local maximum of the worst case a refined point is
-    added. Raises InvalidInput when no balancing speed is known.
+    plant_at: speed [rad/s] -> Plant, a stable loop with the controller, or with law_at(plant) in
+    its place; speeds (s,) [rad/s], ascending, positive. residual: default that of the machine.
+    critical: (speed, damping) [rad/s] of the loop's critical speeds, around which speeds are
+    packed. The curve has the lines of the fixed-speed curve "unbalance"; at every large local
+    maximum of the worst case a refined point is added. Raises InvalidInput when no balancing speed
+    is known.
     """
     from scipy.optimize import minimize_scalar
 
@@ -764,7 +766,8 @@ def unbalance_curve(
     columns: dict[float, np.ndarray] = {}
 
     def worst(speed: float) -> float:
-        response = loop_at(plant_at(speed), controller, speed)
+        plant = plant_at(speed)
+        response = loop_at(plant, controller if law_at is None else law_at(plant), speed)
         orbits = [
             distributed_orbits(response, residual, machine, antiphase=flag)[:, 0]
             for flag in (False, True)

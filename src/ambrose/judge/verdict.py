@@ -55,7 +55,7 @@ from ambrose.machine.criteria import Demand, demand
 from ambrose.machine.description import OperatingPoint, OperatingRange, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
-from ambrose.model.effect import speed_knots
+from ambrose.model.effect import pressure_knots, speed_knots
 from ambrose.model.plant import Plant, beyond_top_speed
 from ambrose.model.uncertainty import default_bending_modes, not_varied, reduce, tolerances_around
 
@@ -91,21 +91,31 @@ def check_range(
         place = _refined(lambda v, p: certified(v, p, modes).closed_loop_norm, extremes, place)
     worst = certified(*place)
 
-    def loop_at(speed: float, pressure: float) -> StateSpace:
+    def loop_at(axis: int, other: float, value: float) -> StateSpace:
+        speed, pressure = (value, other) if axis == 0 else (other, value)
         plant = assemble(machine, area.at(speed, pressure))
         return closed_loop(plant, running_law(law, plant, timing))
 
-    # the poles over the speed, at both ends of the pressure and where the peak is largest
-    speeds = np.unique([*extremes.speeds, *speed_knots(machine, *area.speed)])
-    count, abscissa = 0, float(extremes.abscissa.max())
-    for pressure in sorted({*area.seal_pressure, place[1]}) if len(speeds) > 1 else ():
-        along = follow(partial(loop_at, pressure=pressure), speeds)
-        count += len(along.speeds)
-        k = int(np.argmax(along.abscissa))
-        if along.abscissa[k] >= 0 and worst.stable:
-            place = float(along.speeds[k]), pressure
-            worst = certified(*place)
-        abscissa = max(abscissa, float(along.abscissa[k]))
+    # the poles along each of speed and pressure, where the other has an end, a table that bends or
+    # the largest peak
+    knots = speed_knots(machine, *area.speed), pressure_knots(machine, *area.seal_pressure)
+    grids = [
+        np.unique([*grid, *more])
+        for grid, more in zip((extremes.speeds, extremes.pressures), knots, strict=True)
+    ]
+    count, abscissa, peak = 0, float(extremes.abscissa.max()), place
+    for axis, ends in enumerate((area.seal_pressure, area.speed)):
+        for other in sorted({*ends, *knots[1 - axis], peak[1 - axis]}):
+            if len(grids[axis]) < 2:
+                continue
+            along = follow(partial(loop_at, axis, other), grids[axis])
+            count += len(along.speeds)
+            k = int(np.argmax(along.abscissa))
+            if along.abscissa[k] > max(abscissa, 0.0) or (along.abscissa[k] >= 0 and worst.stable):
+                at = float(along.speeds[k])
+                place = (at, other) if axis == 0 else (other, at)
+                worst = certified(*place)
+            abscissa = max(abscissa, float(along.abscissa[k]))
     abscissa = max(abscissa, worst.spectral_abscissa)
     size = (
         f"{len(extremes.speeds)} speeds x {len(extremes.pressures)} pressures, "
@@ -184,7 +194,8 @@ def _refined(
 
 # A range of speeds and seal pressures, gridded as finely as the loop changes.
 #
-# The grid is a product of speeds and pressures. It begins with ends and middles; the interval over
+# The grid is a product of speeds and pressures. It begins with ends, middles and where tables bend;
+# the interval over
 # which the figure changes most is halved until no neighbours differ by more than a few per cent, or
 # the number of points is used up. What is found is found on that grid: nothing is proved between
 # its points.
@@ -238,8 +249,10 @@ def search(
         return known[speed, pressure]
 
     grids = [
-        np.linspace(*pair, 3) if pair[1] > pair[0] else np.array(pair[:1])
-        for pair in (area.speed, area.seal_pressure)
+        np.unique([*np.linspace(*pair, 3), *knots(machine, *pair)])
+        if pair[1] > pair[0]
+        else np.array(pair[:1])
+        for pair, knots in ((area.speed, speed_knots), (area.seal_pressure, pressure_knots))
     ]
     while True:
         values = np.array([[judged(float(v), float(p)) for p in grids[1]] for v in grids[0]])
@@ -364,16 +377,33 @@ def verify_points(
     """
     law = law_of(controller)
     results = []
+    seen: set[tuple[float, float | None]] = set()
     for plant in plants:
         progress(f"verifying at {plant.point.label}")
-        # a law that changes with it has its own verdict over speed
-        fixed = not law.follows(SPEED)
-        turning = fixed and plant.machine.operation.speed_range[1] > 0 and plant is plants[0]
+        # over all speeds once for every pressure and bias current of the points
+        place = plant.point.seal_pressure, plant.point.bias_current
+        turning = plant.machine.operation.speed_range[1] > 0 and place not in seen
+        seen.add(place)
         along = plants_along_speed(plant) if turning else None
-        checks = nominal.check(plant, running_law(law, plant, timing), plant_at=along)
+        checks = nominal.check(
+            plant,
+            running_law(law, plant, timing),
+            plant_at=along,
+            law_at=lambda other: running_law(law, other, timing),
+            covered=_speeds_covered(law, plant),
+        )
         unsampled = _unstable_when_sampled(plant, law, timing) if checks.stable else ()
         results.append(replace(checks, checks=(*checks.checks, *unsampled)))
     return tuple(results)
+
+
+def _speeds_covered(law: Law, plant: Plant) -> tuple[float, float]:
+    """The part of the machine's speed range [rad/s] that a schedule over speed is made for."""
+    low, high = plant.machine.operation.speed_range
+    if law.follows(SPEED) and law.range is not None:
+        first, last = (float(np.atleast_1d(end)[0]) for end in law.range)
+        low, high = max(low, first), min(high, last)
+    return low, high
 
 
 def _unstable_when_sampled(plant: Plant, law: Law, timing: Timing | None) -> tuple[Check, ...]:

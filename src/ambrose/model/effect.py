@@ -154,8 +154,16 @@ def joined(parts: list[Reaction]) -> Reaction:
 
 def speed_knots(machine: MachineDescription, low: float, high: float) -> tuple[float, ...]:
     """Speeds between two [rad/s] at which a table of an effect or a seal of the machine bends."""
-    of_seals = (
-        dict(seal.table.axes).get("speed", ()) for seal in machine.seals if seal.table is not None
-    )
     known = {w for effect, part in parts_of(machine) for w in effect.knots(part)}
-    return tuple(sorted(w for w in known.union(*of_seals) if low < w < high))
+    known |= _seal_knots(machine, "speed")
+    return tuple(sorted(w for w in known if low < w < high))
+
+
+def pressure_knots(machine: MachineDescription, low: float, high: float) -> tuple[float, ...]:
+    """Seal pressures between two [Pa] at which a table of a seal of the machine bends."""
+    return tuple(sorted(p for p in _seal_knots(machine, "pressure") if low < p < high))
+
+
+def _seal_knots(machine: MachineDescription, axis: str) -> set[float]:
+    tables = (seal.table for seal in machine.seals if seal.table is not None)
+    return {value for table in tables for value in dict(table.axes).get(axis, ())}

@@ -140,7 +140,8 @@ def verdicts(seed):
     )
 
 
-@pytest.mark.parametrize("seed", range(12))
+# of 123 a flank of a peak lies just behind the end of the curves
+@pytest.mark.parametrize("seed", [*range(12), 123])
 def test_no_random_rotor_is_green_where_a_fine_grid_is_not(seed):
     found = verdicts(seed)
     assert not found.wrong, found

@@ -8,9 +8,10 @@ import pytest
 import ambrose as amb
 from ambrose.judge.result import certify
 from ambrose.judge.verdict import search, verify_controller, verify_ranges
-from ambrose.law.loop import Timing
+from ambrose.law.loop import Timing, closed_loop, running_law
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint, OperatingRange
+from ambrose.machine.part import SealTable
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.stations import JournalBearing
 from ambrose.model.uncertainty import reduce
@@ -156,3 +157,46 @@ def test_a_speed_of_a_range_at_which_a_table_bends_is_judged(machine):
     assert lost.spectral_abscissa > 0
     assert inside["range.abscissa"].value >= lost.spectral_abscissa * (1 - 1e-9)
     assert not inside.passed
+
+
+def test_a_table_that_bends_between_grid_pressures_is_looked_at_where_it_bends(machine):
+    """Ends and middle of the pressures have no cross-coupling; three quarters of the way has."""
+    (seal,) = machine.seals
+    span = (0.0, 0.25e5, 0.375e5, 0.5e5)
+    table = SealTable((("pressure", span),), (("k", (0.0, 0.0, 5e7, 0.0)),))
+    seal = replace(seal, k=0.0, table=table, scales_with_pressure=(), reference_pressure=None)
+    why = ("seal.center.scales_with_pressure", "made for this test")
+    bent = replace(machine, seals=(seal,), assumed=(*machine.assumed, why))
+    law = pid_controller(machine.reference, machine)
+    own = closed_loop(plant := assemble(bent, AREA.at(0.0, span[2])), running_law(law, plant, None))
+    assert np.linalg.eigvals(own.A).real.max() > 10.0
+    ((checks,), _) = verify_ranges(bent, law, (), lambda stage: None)
+    assert not checks.stable
+    assert checks["range.abscissa"].value >= 0.99 * np.linalg.eigvals(own.A).real.max()
+
+
+def test_the_speeds_are_followed_at_the_pressure_of_every_point(machine):
+    """Whichever point comes first, a loop that is lost at another one's pressure fails."""
+    rest, full = OperatingPoint(label="rest"), OperatingPoint(600.0, 0.5e5, label="full")
+    law, found = pid_controller(machine.reference, machine), []
+    for points in ((rest, full), (full, rest)):
+        operation = replace(machine.operation, points=points, ranges=(), speed_range=(0.0, 600.0))
+        verdict = verify_controller(replace(machine, operation=operation), law, tolerances=False)
+        found.append({p.label: p["stability.speeds"].value for p in verdict.points if p.stable})
+    assert found[0] == pytest.approx(found[1], rel=1e-6) and set(found[0]) == {"rest", "full"}
+
+
+def test_a_law_that_follows_the_speed_is_followed_over_it_too(machine):
+    """Nothing holds the rotor from 200 to 400 rad/s, where no operating point is."""
+    law = pid_controller(machine.reference, machine)
+
+    def at(speed):
+        gain = 0.0 if 200.0 < speed < 400.0 else 1.0
+        return replace(law, C=gain * law.C, D=gain * law.D)
+
+    points = (OperatingPoint(label="rest"), OperatingPoint(600.0, label="fast"))
+    operation = replace(machine.operation, points=points, ranges=(), speed_range=(0.0, 600.0))
+    verdict = verify_controller(replace(machine, operation=operation), at, tolerances=False)
+    assert all(point.stable for point in verdict.points) and not verdict.passed
+    check = verdict.points[0]["stability.speeds"]
+    assert check.value > 100.0 and "unstable from" in check.detail

@@ -52,6 +52,7 @@ from ambrose.machine.machine import Machine, across_the_shaft
 from ambrose.machine.ordinary_file import write_json
 from ambrose.machine.parameters import operating_point
 from ambrose.model.assemble import assemble
+from ambrose.model.effect import speed_knots
 from ambrose.model.effects.stations import JournalBearing, Stage, rated_cross_coupling
 from ambrose.model.static_load import magnet_coefficients, running_range
 from ambrose.model.uncertainty import perturbed
@@ -541,7 +542,8 @@ def lateral(
         density=density,
     )
     progress("how far the response goes")
-    far = reach(loop_at, slowest, (lowest, highest), trip)
+    knots = speed_knots(machine, slowest, math.inf)
+    far = reach(loop_at, slowest, (lowest, highest), trip, knots)
     unstable = _unstable_at(at_top, loop_at, law, timing, (lowest, highest, trip))
     if unstable is None and far.unstable is not None:
         unstable = _pole_in_words(*far.unstable)

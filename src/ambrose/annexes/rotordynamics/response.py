@@ -7,7 +7,7 @@ values; speeds are added until these agree with what is computed between them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -41,7 +41,7 @@ _TIGHT = 1e-4  # of the trip speed: how well the end is found
 class Reach:
     """asked [rad/s]: up to where the response must go; end: up to where it goes; why: what ends it
     below asked, "" for nothing. through: speeds [rad/s] at which it is to be computed. unstable:
-    the first speed from the lowest running speed to trip at which a pole has a real part
+    the first speed up to trip at which a pole has a real part
     [1/s], with it; None: there is none.
     """
 
@@ -57,8 +57,11 @@ def reach(
     slowest: float,
     running: tuple[float, float],
     trip: float,
+    knots: Iterable[float] = (),
 ) -> Reach:
-    """From the slowest speed of the curves [rad/s]; the loop is covered up to trip."""
+    """From the slowest speed of the curves [rad/s]; the loop is covered up to trip. knots [rad/s]:
+    where tables bend.
+    """
     lowest, highest = running
     asked = max(trip, standard.MARGIN_TO * highest)
     end, why = asked, ""
@@ -70,7 +73,8 @@ def reach(
             break
         end = wanted
 
-    speeds = np.union1d(first_speeds(slowest, end), [trip])
+    bends = [speed for speed in knots if slowest < speed < end]
+    speeds = np.union1d(first_speeds(slowest, end), [trip, *bends])
     step = float(np.diff(speeds).max())
     through = {trip, lowest, highest, min(asked, end)}
     unstable = None
@@ -78,7 +82,8 @@ def reach(
     for speed in map(float, speeds):
         poles = loop_at(speed).all_modes()
         abscissa = float(poles.real.max())
-        if abscissa >= 0 and lowest <= speed <= trip:
+        # a run-up passes all speeds below the running ones
+        if abscissa >= 0 and speed <= trip:
             unstable = unstable or (speed, abscissa)
         elif abscissa >= 0 and speed > trip:
             end = _last(lambda w: loop_at(w).all_modes().real.max() < 0, stable, speed)
@@ -328,7 +333,8 @@ def _spline_error(grid: np.ndarray, motion: np.ndarray, scale: np.ndarray) -> fl
 # N_c is where the amplitude peaks, N_1 and N_2 where it is 0.707 of the peak: AF = N_c/(N_2 - N_1).
 # A peak with one flank inside the curve has twice that flank as its band, or less where the
 # neighbour or the curve's end on the other side is nearer. One without a flank stays above 0.707 of
-# itself between its neighbours, or the curve's ends, a and b: AF <= N_c/(b - a).
+# itself between its neighbours, or the curve's ends, a and b: AF <= N_c/(b - a). Behind the curve's
+# end it may fall at once: on that side it has no more than the flank of that width.
 
 
 @dataclass(frozen=True, slots=True)
@@ -388,7 +394,10 @@ def criticals(speeds: np.ndarray, amplitude: np.ndarray) -> tuple[Critical, ...]
             else math.nan
         )
         factor = top / band if known else math.nan
-        most = factor if known else top / float(right - left)
+        widths = float(top - left), float(right - top)
+        cut = [width for width, last in zip(widths, (k == 0, top == tops[-1]), strict=True) if last]
+        bands = [width + min(widths) for width in cut] or [sum(widths)]
+        most = factor if known else top / min(bands)
         found.append(Critical(top, peak, factor, len(known) == 2, most))
     return tuple(found)
 
