@@ -60,6 +60,10 @@ class Options:
         for item in fields(self):
             check_option(item, getattr(self, item.name), item.name)
 
+    def values(self) -> dict[str, Any]:
+        """{option: its value}."""
+        return {item.name: getattr(self, item.name) for item in fields(self)}
+
 
 def option_of(item: Field[Any]) -> Option:
     """What is known of a field. Raises KeyError for one that is no option."""
@@ -105,7 +109,7 @@ def choose(
 
     spelled = spelled or {}
     if isinstance(kind, Options):
-        given = {item.name: getattr(kind, item.name) for item in fields(kind)} | dict(given)
+        given = kind.values() | dict(given)
         kind = next((key for key, other in kinds.items() if other is type(kind)), repr(kind))
     if not isinstance(kind, str) or kind not in kinds:
         close = meant(str(kind), kinds)
@@ -240,3 +244,69 @@ def bar(value: float) -> float:
 def percent(value: float) -> float:
     """Per cent as a share."""
     return value / 100
+
+
+# What the verbs of the front door take beside machine, controller, records and files.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AsItRuns(Options):
+    """When a loop runs.
+
+    rate [Hz]: it is sampled; delay_samples: from measured errors to currents set (None: as the
+    controller or the machine file says, ``law.loop.timing_of``).
+    """
+
+    rate: float | None = option(
+        None,
+        "Sample rate; default: the controller's or the machine file's.",
+        flag="--rate-hz",
+        check=positive("10000 Hz is usual"),
+    )
+    delay_samples: int | None = option(
+        None,
+        "From measured errors to currents set; default: the controller's, the machine file's, or "
+        "1.",
+        check=count("1 is usual", "the computing delay"),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Verifying(AsItRuns):
+    """How a controller is judged.
+
+    tolerances: the tolerance boxes, too; everywhere: bounds and proofs over them around every
+    operating point, not the first alone. How fast the machine may move between its points:
+    pressure_rate [Pa/s], the fastest change of the seal pressure (None: the machine file's; without
+    one nothing is proved for a pressure that changes); pressure_error [Pa], how far off what a
+    controller scheduled over the pressure is told may be; speed_rate [rad/s^2], the fastest run-up
+    (None: nothing is proved for a speed that changes).
+    """
+
+    tolerances: bool = option(True, "Over the tolerances as well.", flag=None)
+    everywhere: bool = option(
+        False,
+        "Bounds and proofs over the tolerances around every operating point, not the first alone.",
+    )
+    pressure_rate: float | None = option(
+        None,
+        'Fastest change of the seal pressure, such as "20 bar/s", for a proof while it changes; '
+        "default: the machine file's.",
+        dimension="pressure per time",
+        metavar="RATE",
+        check=positive("give the fastest change in Pa/s, or leave it out"),
+    )
+    pressure_error: float = option(
+        0.0,
+        'How far off what a controller scheduled over pressure is told may be, such as "0.4 bar"; '
+        "default: not at all.",
+        dimension="pressure",
+        metavar="PRESSURE",
+        check=positive("give it in Pa", zero_allowed=True),
+    )
+    speed_rate: float | None = option(
+        None,
+        "Fastest run-up, rad/s^2, for a proof while the speed changes, over the tolerances as "
+        "well; default: none is tried.",
+        check=positive("give the fastest run-up in rad/s^2"),
+    )

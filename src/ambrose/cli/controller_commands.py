@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ambrose.cli.options import chosen_from, groups_from, options_from
+from ambrose.cli.options import asked_for, chosen_from, groups_from, options_from
 from ambrose.code.targets import TARGETS
+from ambrose.options import Verifying
 from ambrose.synthesis.methods import methods
 from ambrose.terminal import (
     ALL,
@@ -31,7 +32,6 @@ from ambrose.terminal import (
     print_checks,
     print_table,
     progress_shown,
-    quantity_given,
     say,
     say_json,
     say_verdict,
@@ -435,7 +435,7 @@ def trade_off(
 
 _GROUPS = {
     "": ("path", "everywhere", "report", "everything"),
-    "The loop as it runs": ("rate_hz", "delay_samples"),
+    "The loop as it runs": ("rate", "delay_samples"),
     "Proofs while the machine moves": ("pressure_rate", "pressure_error", "speed_rate"),
     "Synchronous blocks": ("page",),
 }
@@ -450,34 +450,7 @@ _GROUPS = {
     required=True,
     help="A controller file (*.json).",
 )
-@click.option(
-    "--everywhere",
-    is_flag=True,
-    help="Bounds and proofs over the tolerances around every operating point, not the first alone.",
-)
-@RATE
-@DELAY
-@click.option(
-    "--pressure-rate",
-    metavar="RATE",
-    default=None,
-    help='Fastest change of the seal pressure, such as "20 bar/s", for a proof while it changes; '
-    "default: the machine file's.",
-)
-@click.option(
-    "--pressure-error",
-    metavar="PRESSURE",
-    default=None,
-    help='How far off what a controller scheduled over pressure is told may be, such as "0.4 '
-    'bar"; default: not at all.',
-)
-@click.option(
-    "--speed-rate",
-    type=float,
-    default=None,
-    help="Fastest run-up, rad/s^2, for a proof while the speed changes, over the tolerances as "
-    "well; default: none is tried.",
-)
+@options_from(Verifying)
 @click.option(
     "--report",
     type=click.Path(path_type=Path),
@@ -496,32 +469,27 @@ _GROUPS = {
 def verify(
     machine: str,
     path: Path,
-    everywhere: bool,
-    rate_hz: float | None,
-    delay_samples: int | None,
-    pressure_rate: str | None,
-    pressure_error: str | None,
-    speed_rate: float | None,
     report: Path | None,
     page: Path | None,
     everything: bool,
     as_json: bool,
+    **asked: Any,
 ) -> None:
     """Check a controller on the full plant: at every operating point of the machine, and over all
     tolerances around each.
     """
-    from ambrose.core.checks import check_positive, invalid
-    from ambrose.judge.checks import Motion, moving_proofs, refuse_motion
-    from ambrose.judge.verdict import verify_controller
+    from ambrose.api import verify as verified
+    from ambrose.core.checks import invalid
+    from ambrose.judge.checks import moving_proofs
 
     description = load(machine)
     controller = load_controller(path, description)
-    fastest = quantity_given(pressure_rate, "--pressure-rate", "pressure per time")
-    error = quantity_given(pressure_error, "--pressure-error", "pressure")
-    if error and fastest is None and description.operation.pressure_rate is None:
+    options = asked_for(Verifying, asked)
+    fastest = options.pressure_rate or description.operation.pressure_rate
+    if options.pressure_error and fastest is None:
         raise invalid(
             "--pressure-error",
-            pressure_error,
+            asked["pressure_error"],
             "given with --pressure-rate",
             "say how fast the pressure changes",
         )
@@ -533,22 +501,8 @@ def verify(
                 "--page", str(page), "given for a controller with a synchronous block", remedy
             )
     claim(page=page, report=report)
-    if speed_rate is not None:
-        check_positive(speed_rate, "--speed-rate", "give the fastest run-up in rad/s^2")
-    motion = Motion(fastest, error or 0.0, speed_rate)
-    refuse_motion(description, controller, motion)
     with progress_shown(as_json) as progress:
-        result = verify_controller(
-            description,
-            controller,
-            everywhere=everywhere,
-            rate=rate_hz,
-            delay_samples=delay_samples,
-            pressure_rate=fastest,
-            pressure_error=error or 0.0,
-            speed_rate=speed_rate,
-            progress=progress,
-        )
+        result = verified(description, controller, progress=progress, **options.values())
     failure = None
     if page is not None:
         from ambrose.report.page import write
@@ -565,7 +519,7 @@ def verify(
         unproved = [
             sentence
             for proof in (moving_proofs() if not result.moving else ())
-            if (sentence := proof.unproved(description, motion)) is not None
+            if (sentence := proof.unproved(description, options)) is not None
         ]
         screen = one_screen()
         if screen is None:

@@ -49,12 +49,13 @@ _AXIS_HELP = {
 }
 
 
-def options_from(kinds: Kinds) -> Callable[[Any], Any]:
-    """Decorator of a command: a flag for every option that any of the classes has."""
+def options_from(kinds: Kinds | type[Options]) -> Callable[[Any], Any]:
+    """Decorator of a command: a flag for every option that the class, or any of several, has."""
+    several = {"": kinds} if isinstance(kinds, type) else kinds
 
     def decorate(command: Any) -> Any:
-        for name in reversed(_names(kinds)):
-            command = _flag(kinds, name)(command)
+        for name in reversed(_names(several)):
+            command = _flag(several, name)(command)
         return command
 
     return decorate
@@ -79,14 +80,28 @@ def chosen_from(
 
     asked: what click gives for all options. Raises InvalidInput by the names of the flags.
     """
-    context = click.get_current_context()
-    flags = {item.name: item.opts[-1] for item in context.command.params if item.name}
-    stated = [
-        name for name in asked if context.get_parameter_source(name) is not ParameterSource.DEFAULT
-    ]
-    refuse_foreign(kinds, "kind", kind, stated, {**flags, "kind": word})
-    having = {item.name: item for item in fields(kinds[kind])}
-    return kinds[kind](**{name: _read(having[name], asked[name], flags[name]) for name in stated})
+    refuse_foreign(kinds, "kind", kind, _stated(asked), {**_flags(), "kind": word})
+    return asked_for(kinds[kind], asked)
+
+
+def asked_for(kind: type[Chosen], asked: Mapping[str, Any]) -> Chosen:
+    """A class with the options that a command line gives; asked as of ``chosen_from``. Raises
+    InvalidInput by the names of the flags.
+    """
+    having, flags = {item.name: item for item in fields(kind)}, _flags()
+    return kind(**{name: _read(having[name], asked[name], flags[name]) for name in _stated(asked)})
+
+
+def _flags() -> dict[str, str]:
+    """{option: its flag} of the command that runs."""
+    command = click.get_current_context().command
+    return {item.name: item.opts[-1] for item in command.params if item.name}
+
+
+def _stated(asked: Mapping[str, Any]) -> list[str]:
+    """The names of those that the command line states, and leaves to no default."""
+    source = click.get_current_context().get_parameter_source
+    return [name for name in asked if source(name) is not ParameterSource.DEFAULT]
 
 
 def _names(kinds: Kinds) -> tuple[str, ...]:
