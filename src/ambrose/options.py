@@ -11,11 +11,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, asdict, dataclass, field, fields
-from typing import Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from ambrose.machine.units import meant, suggestion
 
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from ambrose.law.law import LawLike
+
 Check = Callable[[Any, str], None]
+# (options, another, whether they go with it or are left out with it, remedy)
+Rules = tuple[tuple[tuple[str, ...], str, bool, str], ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,6 +59,7 @@ class Options:
     """
 
     why: ClassVar[str] = ""  # why it has no others, told where one of them is refused
+    rules: ClassVar[Rules] = ()
 
     def __post_init__(self) -> None:
         from ambrose.core.checks import check_plain_fields
@@ -59,6 +67,28 @@ class Options:
         check_plain_fields(self)  # "no" is as good as True, and ends in no error
         for item in fields(self):
             check_option(item, getattr(self, item.name), item.name)
+        self.check_rules(self.values(), {})
+
+    @classmethod
+    def check_rules(cls, given: Mapping[str, Any], spelled: Mapping[str, str]) -> None:
+        """Refuse options by the ``rules``; spelled: as of ``choose``. Raises InvalidInput."""
+        from ambrose.core.checks import invalid
+
+        usual = {item.name: item.default for item in fields(cls)}
+        stated = {
+            name: value
+            for name, value in given.items()
+            if value is not None and not (usual[name] is not None and value == usual[name])
+        }
+        for names, other, together, remedy in cls.rules:
+            wrong = [name for name in names if name in stated and (other in stated) is not together]
+            if wrong:
+                raise invalid(
+                    spelled.get(wrong[0], wrong[0]),
+                    stated[wrong[0]] if spelled else "given",
+                    f"{'given' if together else 'left out'} with {spelled.get(other, other)}",
+                    remedy,
+                )
 
     def values(self) -> dict[str, Any]:
         """{option: its value}."""
@@ -310,3 +340,84 @@ class Verifying(AsItRuns):
         "well; default: none is tried.",
         check=positive("give the fastest run-up in rad/s^2"),
     )
+
+
+# of a controller that takes over from one scheduled over pressure
+READING_ERROR: dict[str, Any] = {
+    "meaning": 'With --fallback: how far off the reading may be, such as "0.4 bar"; an estimate '
+    "trims it by as much.",
+    "dimension": "pressure",
+    "metavar": "PRESSURE",
+}
+STUCK_AFTER: dict[str, Any] = {
+    "meaning": "With --fallback: how long the very same reading may come; default: not watched.",
+    "metavar": "SECONDS",
+}
+_ONE_LAW = "the linear loop has all modes, no noise and one controller; leave one of the two out"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Simulating(AsItRuns):
+    """How a scenario is run: on the nonlinear virtual rig or, linear, on the linear closed loop.
+
+    axial: the controller of the axis along the shaft, all axes then run together. second: takes
+    over at the scenario's switch_at. fallback: the fixed controller that takes over where the
+    pressure that a schedule is told cannot be trusted; pressure_rate [Pa/s]: how fast that may
+    change (None: the machine file's), pressure_error [Pa]: how far off the reading may be,
+    stuck_after [s]: how long it may be the very same (None: for ever); estimate: a seal monitor
+    runs "beside" the reading, or "alone" in place of it. bending_modes: per plane of the rig (None:
+    3, as identification models). seed: of the sensors' noise. path (.h5): where the record is
+    written while it grows. every: only each so many-th sample is recorded; dt [s]: longest
+    integration step (None: by the machine's fastest pole); computing_delay [samples]: of the rig
+    (None: that of the timing).
+    """
+
+    rules: ClassVar[Rules] = (
+        (
+            (
+                *("bending_modes", "seed", "second", "fallback", "axial"),
+                *("path", "every", "dt", "computing_delay"),
+            ),
+            "linear",
+            False,
+            _ONE_LAW,
+        ),
+        (
+            ("pressure_rate", "pressure_error", "stuck_after", "estimate"),
+            "fallback",
+            True,
+            "name the controller that takes over",
+        ),
+    )
+    axial: LawLike | None = option(
+        None, "The controller of machine.toml#axial: all axes run together."
+    )
+    linear: bool = option(False, "The linear model instead of the nonlinear virtual rig.")
+    second: LawLike | None = option(
+        None, "A controller that takes over at the scenario's switch_at."
+    )
+    fallback: LawLike | None = option(
+        None, "Fixed controller for when a schedule's pressure cannot be trusted."
+    )
+    pressure_rate: float | None = option(
+        None,
+        'With --fallback: the fastest change believed, such as "80 bar/s".',
+        dimension="pressure per time",
+        metavar="RATE",
+    )
+    pressure_error: float = option(0.0, **READING_ERROR)
+    stuck_after: float | None = option(None, **STUCK_AFTER)
+    estimate: str | None = option(
+        None,
+        "With --fallback: a seal monitor runs beside the pressure's reading, or its estimate is "
+        "told in place of one.",
+        choices=("beside", "alone"),
+    )
+    bending_modes: int | None = option(
+        None, "Bending modes per plane of the rig; default: 3, as identify models."
+    )
+    seed: int = option(0, "Of the sensors' noise on the rig; default: 0.")
+    path: str | Path | None = option(None, "Of the record, written while it grows.", flag=None)
+    every: int = option(1, "Samples are left out between those recorded.", flag=None)
+    dt: float | None = option(None, "Longest integration step, s.", flag=None)
+    computing_delay: int | None = option(None, "Of the rig, samples.", flag=None)

@@ -66,18 +66,6 @@ DELAY = click.option(
     help="From measured errors to currents set; default: the controller's, the machine file's, or "
     "1.",
 )
-PRESSURE_ERROR = click.option(
-    "--pressure-error",
-    metavar="PRESSURE",
-    help='With --fallback: how far off the reading may be, such as "0.4 bar"; an estimate trims '
-    "it by as much.",
-)
-STUCK_AFTER = click.option(
-    "--stuck-after",
-    type=float,
-    metavar="SECONDS",
-    help="With --fallback: how long the very same reading may come; default: not watched.",
-)
 _SUFFIX = {"controller file": ".json", "machine file": ".toml", "report": ".html", "page": ".html"}
 # endings that mean a file of this package, or a record
 _KINDS = {*_SUFFIX.values(), ".h5", ".hdf5", ".csv", ".mat", ".tdms"}

@@ -34,6 +34,7 @@ _TYPES: dict[str, tuple[Any, int]] = {
     "Sequence[str]": (str, 1),
     "Mapping[str, float]": (str, 1),
     "Path": (click.Path(path_type=Path), 1),
+    "LawLike": (click.Path(path_type=Path), 1),
     "tuple[float, float]": (float, 2),
 }
 
@@ -89,6 +90,7 @@ def asked_for(kind: type[Chosen], asked: Mapping[str, Any]) -> Chosen:
     InvalidInput by the names of the flags.
     """
     having, flags = {item.name: item for item in fields(kind)}, _flags()
+    kind.check_rules({name: asked[name] for name in _stated(asked)}, flags)
     return kind(**{name: _read(having[name], asked[name], flags[name]) for name in _stated(asked)})
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from ambrose.options import AsItRuns, hertz, option, positive
+from ambrose.options import READING_ERROR, STUCK_AFTER, AsItRuns, hertz, option, positive
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -154,18 +154,8 @@ class C(Target):
         "Realisation in C: modal, or of a filter bank its sections one by one.",
         choices=("modal", "cascade"),
     )
-    pressure_error: float | None = option(
-        None,
-        'With --fallback: how far off the reading may be, such as "0.4 bar"; an estimate trims it '
-        "by as much.",
-        dimension="pressure",
-        metavar="PRESSURE",
-    )
-    stuck_after: float | None = option(
-        None,
-        "With --fallback: how long the very same reading may come; default: not watched.",
-        metavar="SECONDS",
-    )
+    pressure_error: float | None = option(None, **READING_ERROR)
+    stuck_after: float | None = option(None, **STUCK_AFTER)
     try_on: str | None = option(
         None,
         "Compile it for this processor too, run it there in QEMU, and compare bit by bit.",
