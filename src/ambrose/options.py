@@ -110,11 +110,11 @@ def check_option(item: Field[Any], value: Any, name: str) -> None:
     known = option_of(item)
     if value is None and item.default is None:
         return
-    # an array compares by element: what is no word (or number) of the choices' kind is none of them
-    chosen = any(isinstance(value, type(one)) and value == one for one in known.choices)
-    if known.choices and not chosen:
-        words = ", ".join(map(str, known.choices))
-        raise invalid(name, repr(value), f"one of {words}", "leave the default")
+    for part in (value if known.many else (value,)) if known.choices else ():
+        # an array compares by element: what is no word (or number) of the choices' kind is none
+        if not any(isinstance(part, type(one)) and part == one for one in known.choices):
+            words = ", ".join(map(str, known.choices))
+            raise invalid(name, repr(part), f"one of {words}", "leave the default")
     if known.check is not None:
         known.check(value, name)
 
@@ -271,6 +271,11 @@ def bar(value: float) -> float:
     return 1e5 * value
 
 
+def rpm(value: float) -> float:
+    """A speed [rpm] in rad/s."""
+    return hertz(value) / 60
+
+
 def percent(value: float) -> float:
     """Per cent as a share."""
     return value / 100
@@ -421,3 +426,31 @@ class Simulating(AsItRuns):
     every: int = option(1, "Samples are left out between those recorded.", flag=None)
     dt: float | None = option(None, "Longest integration step, s.", flag=None)
     computing_delay: int | None = option(None, "Of the rig, samples.", flag=None)
+
+
+PARTS = ("poles", "campbell", "pulses", "unbalance")  # of a map
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Exploring(AsItRuns):
+    """What is mapped of a loop over its range, and how far.
+
+    parts: some of PARTS (none: all). pressure [Pa], speed [rad/s]: of a map of the poles, from and
+    to (None: zero to twice the largest pressure, to 1.2 times the top speed). bound: an upper bound
+    beside the worst unbalance found, which takes longer.
+    """
+
+    parts: Sequence[str] = option(
+        PARTS, "Only this (repeatable); default: all.", flag="--what", choices=PARTS, many=True
+    )
+    pressure: tuple[float, float] | None = option(
+        None,
+        "Poles over this range of the seal pressure.",
+        flag="--pressure-bar",
+        check=ends,
+        convert=bar,
+    )
+    speed: tuple[float, float] | None = option(
+        None, "Poles over this range of the speed.", flag="--speed-rpm", check=ends, convert=rpm
+    )
+    bound: bool = option(False, "An upper bound beside the worst unbalance found.")

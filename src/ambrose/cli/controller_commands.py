@@ -12,23 +12,24 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ambrose.cli.options import asked_for, chosen_from, groups_from, options_from
 from ambrose.code.targets import TARGETS
-from ambrose.options import Verifying
+from ambrose.options import AsItRuns, Exploring, Verifying
 from ambrose.synthesis.methods import methods
 from ambrose.terminal import (
     ALL,
     AS_JSON,
-    DELAY,
     MACHINE,
-    RATE,
     GroupedCommand,
+    asked_for,
+    chosen_from,
     claim,
+    groups_from,
     kept,
     kept_page,
     load,
     load_controller,
     one_screen,
+    options_from,
     print_checks,
     print_table,
     progress_shown,
@@ -356,8 +357,7 @@ _OVER = (
 @click.option(
     "--structure", type=click.Choice(["free", "plane", "axis"]), default="free", show_default=True
 )
-@RATE
-@DELAY
+@options_from(AsItRuns)
 @click.option(
     "-o",
     "--output",
@@ -372,10 +372,9 @@ def trade_off(
     values: str,
     order: int | None,
     structure: str,
-    rate_hz: float | None,
-    delay_samples: int | None,
     output: Path | None,
     as_json: bool,
+    **asked: Any,
 ) -> None:
     """What a requirement costs: the lowest sensitivity that a tuned controller reaches at each of
     its values.
@@ -387,7 +386,7 @@ def trade_off(
 
     description = load(machine)
     wanted = [read_value(over, text.strip()) for text in values.split(",") if text.strip()]
-    method = Tuned(rate=rate_hz, delay_samples=delay_samples, order=order, structure=structure)
+    method = Tuned(order=order, structure=structure, **asked_for(AsItRuns, asked).values())
     claim(page=output)
     with progress_shown(as_json) as progress:
         result = traded(description, over, wanted, method, progress=progress)
@@ -601,10 +600,6 @@ def _say_in_full(result: Verification, unproved: Sequence[str], everything: bool
 # `ambrose map`.
 
 
-# those of judge/exploration.py, which is not imported for --help
-PARTS = ("poles", "campbell", "pulses", "unbalance")
-
-
 @click.command("map")
 @MACHINE
 @click.option(
@@ -613,39 +608,20 @@ PARTS = ("poles", "campbell", "pulses", "unbalance")
     required=True,
     help="A controller file (*.json).",
 )
-@click.option(
-    "--what", type=click.Choice(PARTS), multiple=True, help="Only this (repeatable); default: all."
-)
+@options_from(Exploring, "parts")
 @click.option(
     "--point", help="Label of an operating point, or its beginning; default: the design point."
 )
-@click.option(
-    "--pressure-bar",
-    nargs=2,
-    type=float,
-    default=None,
-    help="Poles over this range of the seal pressure.",
-)
-@click.option(
-    "--speed-rpm", nargs=2, type=float, default=None, help="Poles over this range of the speed."
-)
-@click.option("--bound", is_flag=True, help="An upper bound beside the worst unbalance found.")
-@RATE
-@DELAY
+@options_from(Exploring, "pressure", "speed", "bound", "rate", "delay_samples")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="A page (*.html).")
 @AS_JSON
 def map_command(
     machine: str,
     controller: Path,
-    what: tuple[str, ...],
     point: str | None,
-    pressure_bar: tuple[float, float] | None,
-    speed_rpm: tuple[float, float] | None,
-    bound: bool,
-    rate_hz: float | None,
-    delay_samples: int | None,
     output: Path | None,
     as_json: bool,
+    **asked: Any,
 ) -> None:
     """Map a loop over its range: poles over speed and pressure, Campbell, pulse and unbalance over
     the tolerances.
@@ -654,8 +630,6 @@ def map_command(
     members of the tolerances swing after a pulse; the worst orbit by unbalance over speed. Exit
     status 1: not stable everywhere in the machine's own range.
     """
-    from math import pi
-
     from ambrose.judge.exploration import explore
     from ambrose.law.loop import timing_in_words
     from ambrose.report import theme as units
@@ -664,23 +638,9 @@ def map_command(
     description = load(machine)
     law = load_controller(controller, description)
     claim(page=output)
-    reach = {}
-    if pressure_bar is not None:
-        reach["pressure"] = (1e5 * pressure_bar[0], 1e5 * pressure_bar[1])
-    if speed_rpm is not None:
-        reach["speed"] = (pi / 30 * speed_rpm[0], pi / 30 * speed_rpm[1])
+    options = asked_for(Exploring, asked).values()
     with progress_shown(as_json) as progress:
-        exploration = explore(
-            description,
-            law,
-            parts=what or PARTS,
-            point=point,
-            reach=reach,
-            bound=bound,
-            rate=rate_hz,
-            delay_samples=delay_samples,
-            progress=progress,
-        )
+        exploration = explore(description, law, point=point, progress=progress, **options)
         failure = kept_page(exploration, output, progress=progress)
     if as_json:
         say_json({**exploration.to_dict(), "page": str(output) if output else None})

@@ -8,17 +8,19 @@ from typing import Any
 
 import click
 
-from ambrose.cli.options import AXIS_COLUMNS, axis_columns, chosen_from, groups_from, options_from
 from ambrose.identification.methods import METHODS
 from ambrose.terminal import (
     AS_JSON,
     MACHINE,
     GroupedCommand,
+    chosen_from,
     claim,
+    groups_from,
     kept,
     kept_page,
     load,
     one_screen,
+    options_from,
     print_table,
     progress_shown,
     quantity_given,
@@ -26,6 +28,25 @@ from ambrose.terminal import (
     say_json,
     say_verdict,
 )
+
+# identification/one_axis/axis_record.py, which is not imported for --help
+AXIS_COLUMNS = ("displacement", "drive", "reference", "current", "voltage", "time")
+_AXIS_HELP = {
+    "displacement": "Of the axis; default: y, y_<axis>.",
+    "drive": "What the plant is driven by, a current best; default: u, u_<axis>.",
+    "reference": "What drives the loop from outside; default: r, e, yd, e_<axis>, r_<axis>.",
+    "current": "Of the coil; default: i, i_<axis>.",
+    "voltage": "Of the coil, to see whether the current belongs to it.",
+    "time": "Default: t, time.",
+}
+
+
+def axis_columns(command: Any) -> Any:
+    """Decorator of a command: a flag for every column of a record of one axis."""
+    for name in reversed(AXIS_COLUMNS):
+        command = click.option(f"--{name}", metavar="COLUMN", help=_AXIS_HELP[name])(command)
+    return command
+
 
 # `ambrose record check`.
 

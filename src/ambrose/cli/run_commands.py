@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import click
 
-from ambrose.cli.options import asked_for, options_from
 from ambrose.code.targets import PROCESSORS, WORDS, C
 from ambrose.options import Rules, Simulating, option
 from ambrose.terminal import (
@@ -17,11 +16,13 @@ from ambrose.terminal import (
     AS_JSON,
     MACHINE,
     GroupedCommand,
+    asked_for,
     claim,
     kept,
     kept_page,
     load,
     load_controller,
+    options_from,
     print_checks,
     print_table,
     progress_shown,
