@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ambrose.law.law import LawLike
 
 Check = Callable[[Any, str], None]
-# (options, another, whether they go with it or are left out with it, remedy)
+# (options, another, whether they go with it or are left out with it, remedy with it as {})
 Rules = tuple[tuple[tuple[str, ...], str, bool, str], ...]
 
 
@@ -87,7 +87,7 @@ class Options:
                     spelled.get(wrong[0], wrong[0]),
                     stated[wrong[0]] if spelled else "given",
                     f"{'given' if together else 'left out'} with {spelled.get(other, other)}",
-                    remedy,
+                    remedy.format(spelled.get(other, other)),
                 )
 
     def values(self) -> dict[str, Any]:
@@ -454,3 +454,48 @@ class Exploring(AsItRuns):
         None, "Poles over this range of the speed.", flag="--speed-rpm", check=ends, convert=rpm
     )
     bound: bool = option(False, "An upper bound beside the worst unbalance found.")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rejecting(Options):
+    """A block against unbalance beside a controller.
+
+    synchronous: what it rejects. synchronous_band [rad/s]: where it is on (None: from a tenth of
+    the top speed to it). synchronous_time [s]: its time constant (None: as short as the loop
+    allows). base: the controller to add it to, in place of a new design.
+    """
+
+    rules: ClassVar[Rules] = (
+        (
+            ("synchronous_band", "synchronous_time", "synchronous_update", "base"),
+            "synchronous",
+            True,
+            "add {} current-free",
+        ),
+    )
+    synchronous: str | None = option(
+        None,
+        "Design a block as well that rejects the unbalance's signal, and write it into the "
+        "controller file.",
+        choices=("current-free", "force-free", "vibration-free", "damping"),
+    )
+    synchronous_band: tuple[float, float] | None = option(
+        None,
+        "With --synchronous: lowest and highest speed of the block in rad/s; default: a tenth of "
+        "the top speed to it; damping has none, give the speeds around the critical one.",
+    )
+    synchronous_time: float | None = option(
+        None,
+        "With --synchronous: time constant of the block in seconds; default: as short as the "
+        "loop allows.",
+        check=positive("give 2/eps in seconds"),
+    )
+    synchronous_update: str | None = option(
+        None,
+        "With --synchronous: when the block's amplitudes move; default: every sample.",
+        choices=("sample", "turn"),
+    )
+    base: LawLike | None = option(
+        None,
+        "With --synchronous: the controller file to add the block to, in place of a new design.",
+    )

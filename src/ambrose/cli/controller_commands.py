@@ -6,14 +6,14 @@ import math
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from ambrose.code.targets import TARGETS
-from ambrose.options import AsItRuns, Exploring, Verifying
+from ambrose.options import AsItRuns, Exploring, Rejecting, Verifying
 from ambrose.synthesis.methods import methods
 from ambrose.terminal import (
     ALL,
@@ -74,40 +74,7 @@ _APART = 1.5  # times: continuous and sampled peaks that differ by more are expl
     help="Label of an operating point, or its beginning; default: the design point.",
 )
 @options_from(METHODS)
-@click.option(
-    "--synchronous",
-    type=click.Choice(["current-free", "force-free", "vibration-free", "damping"]),
-    default=None,
-    help="Design a block as well that rejects the unbalance's signal, and write it into the "
-    "controller file.",
-)
-@click.option(
-    "--synchronous-band",
-    type=float,
-    nargs=2,
-    default=None,
-    help="With --synchronous: lowest and highest speed of the block in rad/s; default: a tenth of "
-    "the top speed to it; damping has none, give the speeds around the critical one.",
-)
-@click.option(
-    "--synchronous-time",
-    type=float,
-    default=None,
-    help="With --synchronous: time constant of the block in seconds; default: as short as the "
-    "loop allows.",
-)
-@click.option(
-    "--synchronous-update",
-    type=click.Choice(["sample", "turn"]),
-    default=None,
-    help="With --synchronous: when the block's amplitudes move; default: every sample.",
-)
-@click.option(
-    "--base",
-    type=click.Path(path_type=Path),
-    default=None,
-    help="With --synchronous: the controller file to add the block to, in place of a new design.",
-)
+@options_from(Rejecting)
 @click.option(
     "-o",
     "--output",
@@ -127,11 +94,6 @@ def synthesize(
     machine: str,
     method: str,
     point: str | None,
-    synchronous: str | None,
-    synchronous_band: tuple[float, float] | None,
-    synchronous_time: float | None,
-    synchronous_update: str | None,
-    base: Path | None,
     output: Path,
     machine_file: Path | None,
     as_json: bool,
@@ -144,25 +106,21 @@ def synthesize(
     range of speeds, of seal pressures or both. Exit status 1: an operating point of the machine is
     not held (with --point: that one), or what was designed for is not met.
     """
+    from ambrose.api import assemble, design_with_block
     from ambrose.core.checks import invalid
     from ambrose.judge.controller_file import write_controller
-    from ambrose.judge.plants import plant_at
     from ambrose.judge.result import Status
     from ambrose.law.pid import filter_rows
     from ambrose.machine.file.update import save_machine
-    from ambrose.synthesis.design import another_point, design
-    from ambrose.synthesis.synchronous_design import check_request, design_synchronous, in_words
+    from ambrose.synthesis.design import another_point
+    from ambrose.synthesis.synchronous_design import check_request, in_words
 
+    beside = {item.name: asked.pop(item.name) for item in fields(Rejecting)}
+    block_options = asked_for(Rejecting, beside)
     chosen = chosen_from(METHODS, method, asked, _METHOD_OPTION)
     description = load(machine)
     on_machine = chosen.on(description)  # refuses before the design, which takes a while
-    more = {
-        "--synchronous-band": synchronous_band,
-        "--synchronous-time": synchronous_time,
-        "--synchronous-update": synchronous_update,
-        "--base": base,
-    }
-    check_request(synchronous, method, more, description, "--synchronous")
+    check_request(block_options, method, description)
     if machine_file is not None and getattr(chosen, "structure", None) not in {"pid", "filters"}:
         raise invalid(
             "--machine-file",
@@ -172,34 +130,22 @@ def synthesize(
         )
     claim(controller_file=output, machine_file=machine_file)
     # a peak names the point it is of: the worst one, which verify finds, is another
-    where = ""
+    where, plant = "", None
     with progress_shown(as_json) as progress:
-        if base is None:
+        if block_options.base is None:
             progress("assembling the plant")
-            plant = plant_at(description, point)
+            plant = assemble(description, point)
             where = f" at {plant.point.label or 'the design point'}"
             progress(f"designing ({method})")
-            result = design(plant, chosen, progress=progress)
-            if result.method == "hinf" and point is None and result.lost:
-                progress("looking for a point whose design holds all")
-                result = replace(result, notes=(*result.notes, another_point(plant, chosen)))
         else:
-            result = load_controller(base, description)
-            method = result.method
-        block = None
-        if synchronous is not None:
-            block = design_synchronous(
-                description,
-                result,
-                synchronous,
-                band=synchronous_band,
-                time_constant=synchronous_time,
-                update=synchronous_update or "sample",
-                rate=getattr(chosen, "rate", None),
-                delay_samples=getattr(chosen, "delay_samples", None),
-                progress=progress,
-            )
-            result = replace(result, synchronous=block.blocks)
+            law = load_controller(beside["base"], description)
+            block_options, method = replace(block_options, base=law), law.method
+        result, block = design_with_block(
+            plant or description, chosen, block_options, progress=progress
+        )
+        if plant is not None and result.method == "hinf" and point is None and result.lost:
+            progress("looking for a point whose design holds all")
+            result = replace(result, notes=(*result.notes, another_point(plant, chosen)))
     failure = kept(lambda path: write_controller(path, result), output)
     if machine_file is not None and result.filters is not None:
         timing = on_machine.timing()
@@ -760,24 +706,13 @@ def export(
     A scheduled controller is written in floating point, verified at frozen speeds or pressures over
     its range.
     """
-    from ambrose.code.pipeline import export as write_for_target
-    from ambrose.judge.controller_file import read_controller
+    from ambrose.api import export as exported
 
     chosen = chosen_from(TARGETS, target, asked, _WORD)
-    other = None if fallback is None else read_controller(fallback)
-    file, known = read_controller(controller), None if machine is None else load(machine)
-    running = None if replaces is None else read_controller(replaces)
+    known = None if machine is None else load(machine)
+    laws = {"fallback": fallback, "replaces": replaces, "axial": axial}
     with progress_shown(as_json) as progress:
-        delivery = write_for_target(
-            file,
-            output,
-            to=chosen,
-            machine=known,
-            fallback=other,
-            replaces=running,
-            axial=None if axial is None else read_controller(axial),
-            progress=progress,
-        )
+        delivery = exported(controller, output, to=chosen, machine=known, progress=progress, **laws)
     content = delivery.to_dict()
     if as_json:
         say_json(content)

@@ -72,7 +72,7 @@ def record_check(
     RECORD: a record, or a text table of one axis. MACHINE: whose record it is; its axes and limits
     are then checked. Exit status 1: it serves for nothing, or a signal is useless.
     """
-    from ambrose.identification.record_check import check_record
+    from ambrose.api import check_record
 
     done = check_record(
         record,
@@ -152,7 +152,7 @@ def identify_generic(
     with reasons what can carry no identification (status 2); status 1: a doubt, or "not this
     model".
     """
-    from ambrose.identification.one_axis.identify import identify_generic as run
+    from ambrose.api import identify_generic as run
     from ambrose.report.identification import generic_tables
 
     claim(page=output)
@@ -262,11 +262,10 @@ def identify(
     without a machine file: identify --generic RECORD. Exit status 1: done, but a warning says that
     the result is doubtful; 2: refused.
     """
+    from ambrose.api import identify as run
     from ambrose.identification.pipeline import Provenance, check_controller
-    from ambrose.identification.pipeline import identify as run
     from ambrose.identification.validation.plausibility import check_comparable
     from ambrose.identification.validation.plausibility import compare as agreement
-    from ambrose.judge.controller_file import read_controller
     from ambrose.machine.file.update import machine_text
     from ambrose.machine.ordinary_file import write_text
 
@@ -280,11 +279,10 @@ def identify(
     claim(machine_file=output, report=report)
     names = Provenance(tuple(path.name for path in records), controller.name if controller else "")
     with progress_shown(as_json) as progress:
-        law = read_controller(controller) if controller else None
         done = run(
             description,
             records,
-            law,
+            controller,
             method=chosen,
             repeats=repeats,
             between=between,

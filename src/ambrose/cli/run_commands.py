@@ -194,7 +194,7 @@ def study_command(machine: str, output: Path | None, everything: bool, as_json: 
     """The whole chain: every controller the machine file allows, verified, simulated and compared
     in report.html; exit status 1 where none meets every check or commissioning was not done.
     """
-    from ambrose.chain.study import study
+    from ambrose.api import study
     from ambrose.core.checks import InvalidInput
     from ambrose.machine.ordinary_file import file_name
     from ambrose.report.comparison_tables import decision
@@ -204,7 +204,7 @@ def study_command(machine: str, output: Path | None, everything: bool, as_json: 
     description = load(machine)
     directory = output or Path(f"study-{file_name(description.name)}")
     with progress_shown(as_json) as progress:
-        result = study(description, directory, progress)
+        result = study(description, directory, progress=progress)
     report = None if result.unwritten else directory / "report.html"
     if as_json:
         say_json({**result.to_dict(), "report": report and str(report)})
