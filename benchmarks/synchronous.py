@@ -21,9 +21,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose import load_machine
-from ambrose.annexes.site.balancing_vectors import unbalance_from_amplitudes
 from ambrose.code.block.block import build_block
-from ambrose.code.c.synchronous import CompiledRun, CompiledSynchronous
 from ambrose.code.pipeline import machine_limits
 from ambrose.code.sampled import deploy
 from ambrose.code.synchronous import RunUnit, run_unit
@@ -40,6 +38,8 @@ from ambrose.rig.scenario import Scenario, Unbalance
 from ambrose.rig.synchronous import synchronous_program
 from ambrose.rig.virtual_rig import run
 from ambrose.synthesis.synchronous_design import design_synchronous
+from benchmarks.compiled_synchronous import CompiledRun, CompiledSynchronous
+from benchmarks.unbalance_estimate import unbalance_from_amplitudes
 
 MACHINES = (
     "turboexpander",

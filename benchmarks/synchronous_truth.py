@@ -28,7 +28,6 @@ from functools import cache
 import numpy as np
 
 from ambrose import design
-from ambrose.code.c.synchronous import CompiledSynchronous
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import StateSpace
 from ambrose.core.synchronous import best_inverse, convergence
@@ -58,6 +57,7 @@ from ambrose.rig.synchronous import synchronous_program
 from ambrose.rig.virtual_rig import run
 from ambrose.synthesis.synchronous_design import check_base_loop, design_synchronous
 from benchmarks.box_attack import ports
+from benchmarks.compiled_synchronous import CompiledSynchronous
 from benchmarks.synchronous import (
     MACHINES,
     controlled,

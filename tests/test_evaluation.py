@@ -106,7 +106,7 @@ def test_simulations_take_labels_scenarios_and_syntheses(small, made):
     own = simulate_linear(small, made.controller, load_scenario("impulse-parallel"))
     np.testing.assert_array_equal(trace.record.values, own.record.values)
     assert trace.record.point == small.point
-    with pytest.raises(InvalidInput, match="on the virtual rig"):
+    with pytest.raises(InvalidInput, match="second is given, but must be left out with linear"):
         simulate_scenario(small, made, "impulse-parallel", linear=True, second=made)
 
 

@@ -14,13 +14,13 @@ from click.testing import CliRunner
 
 import ambrose as amb
 from ambrose.cli import GROUPS, main
-from ambrose.cli.options import chosen_from, options_from
 from ambrose.code.targets import TARGETS
 from ambrose.core.checks import InvalidInput
 from ambrose.identification.methods import METHODS
 from ambrose.identification.output_error.problem import FitOptions
 from ambrose.options import Options, choose, hertz, option, option_of, positive, settings
 from ambrose.synthesis.methods import methods
+from ambrose.terminal import chosen_from, options_from
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

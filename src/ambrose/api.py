@@ -37,8 +37,10 @@ if TYPE_CHECKING:
     from ambrose.machine.description import OperatingPoint
     from ambrose.machine.machine import Machine
     from ambrose.model.plant import Plant
+    from ambrose.options import Rejecting
     from ambrose.rig.trace import Trace
     from ambrose.synthesis.methods import Method
+    from ambrose.synthesis.synchronous_design import SynchronousDesign
 
 Progress = Callable[[str], None]
 
@@ -113,46 +115,66 @@ def design(
     controller that does not hold the full plant comes back with status "unstable". Raises
     InvalidInput.
     """
+    from ambrose.options import Rejecting
+    from ambrose.synthesis.synchronous_design import in_words
+
+    asked = Rejecting(
+        synchronous=synchronous,
+        synchronous_band=synchronous_band,
+        synchronous_time=synchronous_time,
+        synchronous_update=synchronous_update,
+        base=base,
+    )
+    result, block = design_with_block(machine, method, asked, point, progress, **options)
+    if block is None:
+        return result
+    left_out = tuple(f"synchronous block: {in_words(item)}" for item in block.forbidden)
+    return replace(result, notes=(*result.notes, *left_out, *block.notes))
+
+
+def design_with_block(
+    machine: Machine | Plant | str,
+    method: Method | str,
+    asked: Rejecting,
+    point: OperatingPoint | str | None = None,
+    progress: Progress = _quiet,
+    **options: Any,
+) -> tuple[Synthesis, SynchronousDesign | None]:
+    """The controller of ``design``, and the block beside it, whose own notes are not the
+    controller's. Raises InvalidInput.
+    """
     from ambrose.judge.result import synthesis_of
     from ambrose.model.plant import Plant as PlantType
     from ambrose.synthesis.design import design as designed
-    from ambrose.synthesis.synchronous_design import check_request, design_synchronous, in_words
+    from ambrose.synthesis.synchronous_design import check_request, design_synchronous
 
-    more = {
-        "synchronous_band": synchronous_band,
-        "synchronous_time": synchronous_time,
-        "synchronous_update": synchronous_update,
-    }
     name = method if isinstance(method, str) else type(method).__name__.lower()
     described = machine.machine if isinstance(machine, PlantType) else machine_of(machine)
-    check_request(synchronous, name, {**more, "base": base}, described)
-    if not isinstance(machine, PlantType):
-        machine = assemble(machine, point)
-    elif point is not None:
+    check_request(asked, name, described)
+    if isinstance(machine, PlantType) and point is not None:
         raise InvalidInput(
             f"the plant is at {machine.point.label!r} already; give the machine to choose another "
             "point"
         )
-    result = (
-        designed(machine, method, progress=progress, **options)
-        if base is None
-        else synthesis_of(controller_of(base))
-    )
-    if synchronous is None:
-        return result
+    if asked.base is None:
+        plant = machine if isinstance(machine, PlantType) else assemble(described, point)
+        result = designed(plant, method, progress=progress, **options)
+    else:
+        result = synthesis_of(controller_of(asked.base))
+    if asked.synchronous is None:
+        return result, None
     block = design_synchronous(
-        machine.machine,
+        described,
         result,
-        synchronous,
-        band=synchronous_band,
-        time_constant=synchronous_time,
-        update=synchronous_update or "sample",
+        asked.synchronous,
+        band=asked.synchronous_band,
+        time_constant=asked.synchronous_time,
+        update=asked.synchronous_update or "sample",
         rate=options.get("rate", getattr(method, "rate", None)),
         delay_samples=options.get("delay_samples", getattr(method, "delay_samples", None)),
         progress=progress,
     )
-    left_out = tuple(f"synchronous block: {in_words(item)}" for item in block.forbidden)
-    return replace(result, synchronous=block.blocks, notes=(*result.notes, *left_out, *block.notes))
+    return replace(result, synchronous=block.blocks), block
 
 
 def verify(
@@ -302,16 +324,13 @@ def export(
     """
     from ambrose.code.pipeline import export as exported
 
-    other = None if fallback is None else controller_of(fallback)
-    running = None if replaces is None else controller_of(replaces)
-    description = None if machine is None else machine_of(machine)
+    laws = {"fallback": fallback, "replaces": replaces, "axial": options.pop("axial", None)}
+    options |= {name: None if law is None else controller_of(law) for name, law in laws.items()}
     return exported(
         controller_of(controller),
         Path(directory),
         to=to,
-        machine=description,
-        fallback=other,
-        replaces=running,
+        machine=None if machine is None else machine_of(machine),
         **options,
     )
 

@@ -11,11 +11,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, asdict, dataclass, field, fields
-from typing import Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from ambrose.machine.units import meant, suggestion
 
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from ambrose.law.law import LawLike
+
 Check = Callable[[Any, str], None]
+# (options, another, whether they go with it or are left out with it, remedy with it as {})
+Rules = tuple[tuple[tuple[str, ...], str, bool, str], ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,6 +59,7 @@ class Options:
     """
 
     why: ClassVar[str] = ""  # why it has no others, told where one of them is refused
+    rules: ClassVar[Rules] = ()
 
     def __post_init__(self) -> None:
         from ambrose.core.checks import check_plain_fields
@@ -59,6 +67,32 @@ class Options:
         check_plain_fields(self)  # "no" is as good as True, and ends in no error
         for item in fields(self):
             check_option(item, getattr(self, item.name), item.name)
+        self.check_rules(self.values(), {})
+
+    @classmethod
+    def check_rules(cls, given: Mapping[str, Any], spelled: Mapping[str, str]) -> None:
+        """Refuse options by the ``rules``; spelled: as of ``choose``. Raises InvalidInput."""
+        from ambrose.core.checks import invalid
+
+        usual = {item.name: item.default for item in fields(cls)}
+        stated = {
+            name: value
+            for name, value in given.items()
+            if value is not None and not (usual[name] is not None and value == usual[name])
+        }
+        for names, other, together, remedy in cls.rules:
+            wrong = [name for name in names if name in stated and (other in stated) is not together]
+            if wrong:
+                raise invalid(
+                    spelled.get(wrong[0], wrong[0]),
+                    stated[wrong[0]] if spelled else "given",
+                    f"{'given' if together else 'left out'} with {spelled.get(other, other)}",
+                    remedy.format(spelled.get(other, other)),
+                )
+
+    def values(self) -> dict[str, Any]:
+        """{option: its value}."""
+        return {item.name: getattr(self, item.name) for item in fields(self)}
 
 
 def option_of(item: Field[Any]) -> Option:
@@ -76,11 +110,11 @@ def check_option(item: Field[Any], value: Any, name: str) -> None:
     known = option_of(item)
     if value is None and item.default is None:
         return
-    # an array compares by element: what is no word (or number) of the choices' kind is none of them
-    chosen = any(isinstance(value, type(one)) and value == one for one in known.choices)
-    if known.choices and not chosen:
-        words = ", ".join(map(str, known.choices))
-        raise invalid(name, repr(value), f"one of {words}", "leave the default")
+    for part in (value if known.many else (value,)) if known.choices else ():
+        # an array compares by element: what is no word (or number) of the choices' kind is none
+        if not any(isinstance(part, type(one)) and part == one for one in known.choices):
+            words = ", ".join(map(str, known.choices))
+            raise invalid(name, repr(part), f"one of {words}", "leave the default")
     if known.check is not None:
         known.check(value, name)
 
@@ -105,7 +139,7 @@ def choose(
 
     spelled = spelled or {}
     if isinstance(kind, Options):
-        given = {item.name: getattr(kind, item.name) for item in fields(kind)} | dict(given)
+        given = kind.values() | dict(given)
         kind = next((key for key, other in kinds.items() if other is type(kind)), repr(kind))
     if not isinstance(kind, str) or kind not in kinds:
         close = meant(str(kind), kinds)
@@ -237,6 +271,231 @@ def bar(value: float) -> float:
     return 1e5 * value
 
 
+def rpm(value: float) -> float:
+    """A speed [rpm] in rad/s."""
+    return hertz(value) / 60
+
+
 def percent(value: float) -> float:
     """Per cent as a share."""
     return value / 100
+
+
+# What the verbs of the front door take beside machine, controller, records and files.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AsItRuns(Options):
+    """When a loop runs.
+
+    rate [Hz]: it is sampled; delay_samples: from measured errors to currents set (None: as the
+    controller or the machine file says, ``law.loop.timing_of``).
+    """
+
+    rate: float | None = option(
+        None,
+        "Sample rate; default: the controller's or the machine file's.",
+        flag="--rate-hz",
+        check=positive("10000 Hz is usual"),
+    )
+    delay_samples: int | None = option(
+        None,
+        "From measured errors to currents set; default: the controller's, the machine file's, or "
+        "1.",
+        check=count("1 is usual", "the computing delay"),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Verifying(AsItRuns):
+    """How a controller is judged.
+
+    tolerances: the tolerance boxes, too; everywhere: bounds and proofs over them around every
+    operating point, not the first alone. How fast the machine may move between its points:
+    pressure_rate [Pa/s], the fastest change of the seal pressure (None: the machine file's; without
+    one nothing is proved for a pressure that changes); pressure_error [Pa], how far off what a
+    controller scheduled over the pressure is told may be; speed_rate [rad/s^2], the fastest run-up
+    (None: nothing is proved for a speed that changes).
+    """
+
+    tolerances: bool = option(True, "Over the tolerances as well.", flag=None)
+    everywhere: bool = option(
+        False,
+        "Bounds and proofs over the tolerances around every operating point, not the first alone.",
+    )
+    pressure_rate: float | None = option(
+        None,
+        'Fastest change of the seal pressure, such as "20 bar/s", for a proof while it changes; '
+        "default: the machine file's.",
+        dimension="pressure per time",
+        metavar="RATE",
+        check=positive("give the fastest change in Pa/s, or leave it out"),
+    )
+    pressure_error: float = option(
+        0.0,
+        'How far off what a controller scheduled over pressure is told may be, such as "0.4 bar"; '
+        "default: not at all.",
+        dimension="pressure",
+        metavar="PRESSURE",
+        check=positive("give it in Pa", zero_allowed=True),
+    )
+    speed_rate: float | None = option(
+        None,
+        "Fastest run-up, rad/s^2, for a proof while the speed changes, over the tolerances as "
+        "well; default: none is tried.",
+        check=positive("give the fastest run-up in rad/s^2"),
+    )
+
+
+# of a controller that takes over from one scheduled over pressure
+READING_ERROR: dict[str, Any] = {
+    "meaning": 'With --fallback: how far off the reading may be, such as "0.4 bar"; an estimate '
+    "trims it by as much.",
+    "dimension": "pressure",
+    "metavar": "PRESSURE",
+}
+STUCK_AFTER: dict[str, Any] = {
+    "meaning": "With --fallback: how long the very same reading may come; default: not watched.",
+    "metavar": "SECONDS",
+}
+_ONE_LAW = "the linear loop has all modes, no noise and one controller; leave one of the two out"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Simulating(AsItRuns):
+    """How a scenario is run: on the nonlinear virtual rig or, linear, on the linear closed loop.
+
+    axial: the controller of the axis along the shaft, all axes then run together. second: takes
+    over at the scenario's switch_at. fallback: the fixed controller that takes over where the
+    pressure that a schedule is told cannot be trusted; pressure_rate [Pa/s]: how fast that may
+    change (None: the machine file's), pressure_error [Pa]: how far off the reading may be,
+    stuck_after [s]: how long it may be the very same (None: for ever); estimate: a seal monitor
+    runs "beside" the reading, or "alone" in place of it. bending_modes: per plane of the rig (None:
+    3, as identification models). seed: of the sensors' noise. path (.h5): where the record is
+    written while it grows. every: only each so many-th sample is recorded; dt [s]: longest
+    integration step (None: by the machine's fastest pole); computing_delay [samples]: of the rig
+    (None: that of the timing).
+    """
+
+    rules: ClassVar[Rules] = (
+        (
+            (
+                *("bending_modes", "seed", "second", "fallback", "axial"),
+                *("path", "every", "dt", "computing_delay"),
+            ),
+            "linear",
+            False,
+            _ONE_LAW,
+        ),
+        (
+            ("pressure_rate", "pressure_error", "stuck_after", "estimate"),
+            "fallback",
+            True,
+            "name the controller that takes over",
+        ),
+    )
+    axial: LawLike | None = option(
+        None, "The controller of machine.toml#axial: all axes run together."
+    )
+    linear: bool = option(False, "The linear model instead of the nonlinear virtual rig.")
+    second: LawLike | None = option(
+        None, "A controller that takes over at the scenario's switch_at."
+    )
+    fallback: LawLike | None = option(
+        None, "Fixed controller for when a schedule's pressure cannot be trusted."
+    )
+    pressure_rate: float | None = option(
+        None,
+        'With --fallback: the fastest change believed, such as "80 bar/s".',
+        dimension="pressure per time",
+        metavar="RATE",
+    )
+    pressure_error: float = option(0.0, **READING_ERROR)
+    stuck_after: float | None = option(None, **STUCK_AFTER)
+    estimate: str | None = option(
+        None,
+        "With --fallback: a seal monitor runs beside the pressure's reading, or its estimate is "
+        "told in place of one.",
+        choices=("beside", "alone"),
+    )
+    bending_modes: int | None = option(
+        None, "Bending modes per plane of the rig; default: 3, as identify models."
+    )
+    seed: int = option(0, "Of the sensors' noise on the rig; default: 0.")
+    path: str | Path | None = option(None, "Of the record, written while it grows.", flag=None)
+    every: int = option(1, "Samples are left out between those recorded.", flag=None)
+    dt: float | None = option(None, "Longest integration step, s.", flag=None)
+    computing_delay: int | None = option(None, "Of the rig, samples.", flag=None)
+
+
+PARTS = ("poles", "campbell", "pulses", "unbalance")  # of a map
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Exploring(AsItRuns):
+    """What is mapped of a loop over its range, and how far.
+
+    parts: some of PARTS (none: all). pressure [Pa], speed [rad/s]: of a map of the poles, from and
+    to (None: zero to twice the largest pressure, to 1.2 times the top speed). bound: an upper bound
+    beside the worst unbalance found, which takes longer.
+    """
+
+    parts: Sequence[str] = option(
+        PARTS, "Only this (repeatable); default: all.", flag="--what", choices=PARTS, many=True
+    )
+    pressure: tuple[float, float] | None = option(
+        None,
+        "Poles over this range of the seal pressure.",
+        flag="--pressure-bar",
+        check=ends,
+        convert=bar,
+    )
+    speed: tuple[float, float] | None = option(
+        None, "Poles over this range of the speed.", flag="--speed-rpm", check=ends, convert=rpm
+    )
+    bound: bool = option(False, "An upper bound beside the worst unbalance found.")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rejecting(Options):
+    """A block against unbalance beside a controller.
+
+    synchronous: what it rejects. synchronous_band [rad/s]: where it is on (None: from a tenth of
+    the top speed to it). synchronous_time [s]: its time constant (None: as short as the loop
+    allows). base: the controller to add it to, in place of a new design.
+    """
+
+    rules: ClassVar[Rules] = (
+        (
+            ("synchronous_band", "synchronous_time", "synchronous_update", "base"),
+            "synchronous",
+            True,
+            "add {} current-free",
+        ),
+    )
+    synchronous: str | None = option(
+        None,
+        "Design a block as well that rejects the unbalance's signal, and write it into the "
+        "controller file.",
+        choices=("current-free", "force-free", "vibration-free", "damping"),
+    )
+    synchronous_band: tuple[float, float] | None = option(
+        None,
+        "With --synchronous: lowest and highest speed of the block in rad/s; default: a tenth of "
+        "the top speed to it; damping has none, give the speeds around the critical one.",
+    )
+    synchronous_time: float | None = option(
+        None,
+        "With --synchronous: time constant of the block in seconds; default: as short as the "
+        "loop allows.",
+        check=positive("give 2/eps in seconds"),
+    )
+    synchronous_update: str | None = option(
+        None,
+        "With --synchronous: when the block's amplitudes move; default: every sample.",
+        choices=("sample", "turn"),
+    )
+    base: LawLike | None = option(
+        None,
+        "With --synchronous: the controller file to add the block to, in place of a new design.",
+    )

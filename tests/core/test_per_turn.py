@@ -6,10 +6,23 @@ import numpy as np
 import pytest
 
 from ambrose.core.statespace import StateSpace
-from ambrose.core.synchronous import largest_gain, largest_turn_gain, turn_map, turn_map_of
+from ambrose.core.synchronous import largest_gain, largest_stable, turn_map_of
 
 DT, N = 1e-3, 40
 SPEED = 2 * np.pi / (N * DT)
+
+
+def turn_map(system, T, speed):
+    """The map of a sampled loop with one block, of the first harmonic."""
+    return turn_map_of(system, [(T, 1)], speed)
+
+
+def largest_turn_gain(system, T, speed, highest, tolerance=0.01):
+    """The gain eps [1/s] up to which a block that moves once a turn is stable."""
+    over = turn_map(system, T, speed)
+    return largest_stable(
+        lambda gain: bool(np.abs(over.multipliers(gain, 0.0)).max() < 1), highest, tolerance
+    )
 
 
 def loop(seed=3, states=5):

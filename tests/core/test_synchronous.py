@@ -16,7 +16,6 @@ from ambrose.core.synchronous import (
     hermitian,
     largest_gain,
     largest_step,
-    missed_share,
     project,
     sector_angle,
     slowest_pole,
@@ -27,6 +26,16 @@ MASS = 10.0
 KS = 2e6
 KP = 5e6
 DAMPING = 4e3
+
+
+def missed_share(frequency_error, gain):
+    """What is left of the synchronous part [-] while the frequency is off by a constant error
+    [rad/s].
+
+    The notch passes |(s^2 + W^2)/(s^2 + eps s + W^2)| at W + dW: 2 dW/sqrt(4 dW^2 + eps^2) near W.
+    """
+    # s = j (W + dW): W^2 + s^2 = -2 W dW - dW^2, over W: 2 dW/|2 dW - j eps| for dW << W
+    return 2 * abs(frequency_error) / float(np.hypot(2 * frequency_error, gain))
 
 
 def rigid(dt: float = 2e-5) -> StateSpace:

@@ -10,11 +10,12 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
-from ambrose.judge.checks import Motion, moving_proofs
+from ambrose.judge.checks import moving_proofs
 from ambrose.judge.result import Provenance, Synthesis, synthesis_of
 from ambrose.law.law import PRESSURE, SPEED, law_of
 from ambrose.law.pid import pid_controller
 from ambrose.model.assemble import assemble
+from ambrose.options import Verifying
 
 RIG = load_machine("seal-rig")
 POINT = RIG.operation.nominal
@@ -108,14 +109,12 @@ def test_what_follows_the_pressure_by_itself_is_not_proved_as_if_it_stood_still(
     alone.
     """
     (proof,) = moving_proofs()
-    motion = Motion(pressure_rate=1e4)
+    motion = Verifying(pressure_rate=1e4, tolerances=False)
     for law in (law_of(Program()), law_of(Over())):
-        found = proof.prove(
-            RIG, law, (), None, motion, tolerances=False, progress=lambda stage: None
-        )
+        found = proof.prove(RIG, law, (), None, motion, lambda stage: None)
         assert found == ()
     with pytest.raises(InvalidInput, match="function of the speed is not proved"):
-        proof.refuse(RIG, law_of(lambda speed: PID), Motion(speed_rate=10.0))
+        proof.refuse(RIG, law_of(lambda speed: PID), Verifying(speed_rate=10.0))
 
 
 def test_a_foreign_system_becomes_a_law_once():

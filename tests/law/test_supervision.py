@@ -191,5 +191,5 @@ def test_refusals():
         replace(LIMITS, dwell=0.0)
     with pytest.raises(InvalidInput, match="rate"):
         replace(LIMITS, rate=0.0)
-    with pytest.raises(InvalidInput, match="linear with a fallback"):
+    with pytest.raises(InvalidInput, match="fallback is given, but must be left out with linear"):
         simulate_scenario(RIG, SCHEDULE, SURGE, linear=True, fallback=PID)

@@ -90,7 +90,7 @@ def test_what_cannot_be_damped_is_refused(flywheel):
     line = ["synthesize", "flywheel", "--method", "pid", "--synchronous", "damping"]
     told = CliRunner().invoke(main, line)
     assert told.exit_code == 2
-    assert "give them with --synchronous-band" in told.output
+    assert "give them with synchronous_band (--synchronous-band)" in told.output
 
 
 @pytest.mark.parametrize("band", [(350.0, 1200.0), (1100.0, 1200.0)])

@@ -6,32 +6,33 @@ import math
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from ambrose.cli.options import chosen_from, groups_from, options_from
 from ambrose.code.targets import TARGETS
+from ambrose.options import AsItRuns, Exploring, Rejecting, Verifying
 from ambrose.synthesis.methods import methods
 from ambrose.terminal import (
     ALL,
     AS_JSON,
-    DELAY,
     MACHINE,
-    RATE,
     GroupedCommand,
+    asked_for,
+    chosen_from,
     claim,
+    groups_from,
     kept,
     kept_page,
     load,
     load_controller,
     one_screen,
+    options_from,
     print_checks,
     print_table,
     progress_shown,
-    quantity_given,
     say,
     say_json,
     say_verdict,
@@ -73,40 +74,7 @@ _APART = 1.5  # times: continuous and sampled peaks that differ by more are expl
     help="Label of an operating point, or its beginning; default: the design point.",
 )
 @options_from(METHODS)
-@click.option(
-    "--synchronous",
-    type=click.Choice(["current-free", "force-free", "vibration-free", "damping"]),
-    default=None,
-    help="Design a block as well that rejects the unbalance's signal, and write it into the "
-    "controller file.",
-)
-@click.option(
-    "--synchronous-band",
-    type=float,
-    nargs=2,
-    default=None,
-    help="With --synchronous: lowest and highest speed of the block in rad/s; default: a tenth of "
-    "the top speed to it; damping has none, give the speeds around the critical one.",
-)
-@click.option(
-    "--synchronous-time",
-    type=float,
-    default=None,
-    help="With --synchronous: time constant of the block in seconds; default: as short as the "
-    "loop allows.",
-)
-@click.option(
-    "--synchronous-update",
-    type=click.Choice(["sample", "turn"]),
-    default=None,
-    help="With --synchronous: when the block's amplitudes move; default: every sample.",
-)
-@click.option(
-    "--base",
-    type=click.Path(path_type=Path),
-    default=None,
-    help="With --synchronous: the controller file to add the block to, in place of a new design.",
-)
+@options_from(Rejecting)
 @click.option(
     "-o",
     "--output",
@@ -126,11 +94,6 @@ def synthesize(
     machine: str,
     method: str,
     point: str | None,
-    synchronous: str | None,
-    synchronous_band: tuple[float, float] | None,
-    synchronous_time: float | None,
-    synchronous_update: str | None,
-    base: Path | None,
     output: Path,
     machine_file: Path | None,
     as_json: bool,
@@ -143,25 +106,21 @@ def synthesize(
     range of speeds, of seal pressures or both. Exit status 1: an operating point of the machine is
     not held (with --point: that one), or what was designed for is not met.
     """
+    from ambrose.api import assemble, design_with_block
     from ambrose.core.checks import invalid
     from ambrose.judge.controller_file import write_controller
-    from ambrose.judge.plants import plant_at
     from ambrose.judge.result import Status
     from ambrose.law.pid import filter_rows
     from ambrose.machine.file.update import save_machine
-    from ambrose.synthesis.design import another_point, design
-    from ambrose.synthesis.synchronous_design import check_request, design_synchronous, in_words
+    from ambrose.synthesis.design import another_point
+    from ambrose.synthesis.synchronous_design import check_request, in_words
 
+    beside = {item.name: asked.pop(item.name) for item in fields(Rejecting)}
+    block_options = asked_for(Rejecting, beside)
     chosen = chosen_from(METHODS, method, asked, _METHOD_OPTION)
     description = load(machine)
     on_machine = chosen.on(description)  # refuses before the design, which takes a while
-    more = {
-        "--synchronous-band": synchronous_band,
-        "--synchronous-time": synchronous_time,
-        "--synchronous-update": synchronous_update,
-        "--base": base,
-    }
-    check_request(synchronous, method, more, description, "--synchronous")
+    check_request(block_options, method, description)
     if machine_file is not None and getattr(chosen, "structure", None) not in {"pid", "filters"}:
         raise invalid(
             "--machine-file",
@@ -171,34 +130,22 @@ def synthesize(
         )
     claim(controller_file=output, machine_file=machine_file)
     # a peak names the point it is of: the worst one, which verify finds, is another
-    where = ""
+    where, plant = "", None
     with progress_shown(as_json) as progress:
-        if base is None:
+        if block_options.base is None:
             progress("assembling the plant")
-            plant = plant_at(description, point)
+            plant = assemble(description, point)
             where = f" at {plant.point.label or 'the design point'}"
             progress(f"designing ({method})")
-            result = design(plant, chosen, progress=progress)
-            if result.method == "hinf" and point is None and result.lost:
-                progress("looking for a point whose design holds all")
-                result = replace(result, notes=(*result.notes, another_point(plant, chosen)))
         else:
-            result = load_controller(base, description)
-            method = result.method
-        block = None
-        if synchronous is not None:
-            block = design_synchronous(
-                description,
-                result,
-                synchronous,
-                band=synchronous_band,
-                time_constant=synchronous_time,
-                update=synchronous_update or "sample",
-                rate=getattr(chosen, "rate", None),
-                delay_samples=getattr(chosen, "delay_samples", None),
-                progress=progress,
-            )
-            result = replace(result, synchronous=block.blocks)
+            law = load_controller(beside["base"], description)
+            block_options, method = replace(block_options, base=law), law.method
+        result, block = design_with_block(
+            plant or description, chosen, block_options, progress=progress
+        )
+        if plant is not None and result.method == "hinf" and point is None and result.lost:
+            progress("looking for a point whose design holds all")
+            result = replace(result, notes=(*result.notes, another_point(plant, chosen)))
     failure = kept(lambda path: write_controller(path, result), output)
     if machine_file is not None and result.filters is not None:
         timing = on_machine.timing()
@@ -356,8 +303,7 @@ _OVER = (
 @click.option(
     "--structure", type=click.Choice(["free", "plane", "axis"]), default="free", show_default=True
 )
-@RATE
-@DELAY
+@options_from(AsItRuns)
 @click.option(
     "-o",
     "--output",
@@ -372,10 +318,9 @@ def trade_off(
     values: str,
     order: int | None,
     structure: str,
-    rate_hz: float | None,
-    delay_samples: int | None,
     output: Path | None,
     as_json: bool,
+    **asked: Any,
 ) -> None:
     """What a requirement costs: the lowest sensitivity that a tuned controller reaches at each of
     its values.
@@ -387,7 +332,7 @@ def trade_off(
 
     description = load(machine)
     wanted = [read_value(over, text.strip()) for text in values.split(",") if text.strip()]
-    method = Tuned(rate=rate_hz, delay_samples=delay_samples, order=order, structure=structure)
+    method = Tuned(order=order, structure=structure, **asked_for(AsItRuns, asked).values())
     claim(page=output)
     with progress_shown(as_json) as progress:
         result = traded(description, over, wanted, method, progress=progress)
@@ -435,7 +380,7 @@ def trade_off(
 
 _GROUPS = {
     "": ("path", "everywhere", "report", "everything"),
-    "The loop as it runs": ("rate_hz", "delay_samples"),
+    "The loop as it runs": ("rate", "delay_samples"),
     "Proofs while the machine moves": ("pressure_rate", "pressure_error", "speed_rate"),
     "Synchronous blocks": ("page",),
 }
@@ -450,34 +395,7 @@ _GROUPS = {
     required=True,
     help="A controller file (*.json).",
 )
-@click.option(
-    "--everywhere",
-    is_flag=True,
-    help="Bounds and proofs over the tolerances around every operating point, not the first alone.",
-)
-@RATE
-@DELAY
-@click.option(
-    "--pressure-rate",
-    metavar="RATE",
-    default=None,
-    help='Fastest change of the seal pressure, such as "20 bar/s", for a proof while it changes; '
-    "default: the machine file's.",
-)
-@click.option(
-    "--pressure-error",
-    metavar="PRESSURE",
-    default=None,
-    help='How far off what a controller scheduled over pressure is told may be, such as "0.4 '
-    'bar"; default: not at all.',
-)
-@click.option(
-    "--speed-rate",
-    type=float,
-    default=None,
-    help="Fastest run-up, rad/s^2, for a proof while the speed changes, over the tolerances as "
-    "well; default: none is tried.",
-)
+@options_from(Verifying)
 @click.option(
     "--report",
     type=click.Path(path_type=Path),
@@ -496,32 +414,27 @@ _GROUPS = {
 def verify(
     machine: str,
     path: Path,
-    everywhere: bool,
-    rate_hz: float | None,
-    delay_samples: int | None,
-    pressure_rate: str | None,
-    pressure_error: str | None,
-    speed_rate: float | None,
     report: Path | None,
     page: Path | None,
     everything: bool,
     as_json: bool,
+    **asked: Any,
 ) -> None:
     """Check a controller on the full plant: at every operating point of the machine, and over all
     tolerances around each.
     """
-    from ambrose.core.checks import check_positive, invalid
-    from ambrose.judge.checks import Motion, moving_proofs, refuse_motion
-    from ambrose.judge.verdict import verify_controller
+    from ambrose.api import verify as verified
+    from ambrose.core.checks import invalid
+    from ambrose.judge.checks import moving_proofs
 
     description = load(machine)
     controller = load_controller(path, description)
-    fastest = quantity_given(pressure_rate, "--pressure-rate", "pressure per time")
-    error = quantity_given(pressure_error, "--pressure-error", "pressure")
-    if error and fastest is None and description.operation.pressure_rate is None:
+    options = asked_for(Verifying, asked)
+    fastest = options.pressure_rate or description.operation.pressure_rate
+    if options.pressure_error and fastest is None:
         raise invalid(
             "--pressure-error",
-            pressure_error,
+            asked["pressure_error"],
             "given with --pressure-rate",
             "say how fast the pressure changes",
         )
@@ -533,22 +446,8 @@ def verify(
                 "--page", str(page), "given for a controller with a synchronous block", remedy
             )
     claim(page=page, report=report)
-    if speed_rate is not None:
-        check_positive(speed_rate, "--speed-rate", "give the fastest run-up in rad/s^2")
-    motion = Motion(fastest, error or 0.0, speed_rate)
-    refuse_motion(description, controller, motion)
     with progress_shown(as_json) as progress:
-        result = verify_controller(
-            description,
-            controller,
-            everywhere=everywhere,
-            rate=rate_hz,
-            delay_samples=delay_samples,
-            pressure_rate=fastest,
-            pressure_error=error or 0.0,
-            speed_rate=speed_rate,
-            progress=progress,
-        )
+        result = verified(description, controller, progress=progress, **options.values())
     failure = None
     if page is not None:
         from ambrose.report.page import write
@@ -565,7 +464,7 @@ def verify(
         unproved = [
             sentence
             for proof in (moving_proofs() if not result.moving else ())
-            if (sentence := proof.unproved(description, motion)) is not None
+            if (sentence := proof.unproved(description, options)) is not None
         ]
         screen = one_screen()
         if screen is None:
@@ -647,10 +546,6 @@ def _say_in_full(result: Verification, unproved: Sequence[str], everything: bool
 # `ambrose map`.
 
 
-# those of judge/exploration.py, which is not imported for --help
-PARTS = ("poles", "campbell", "pulses", "unbalance")
-
-
 @click.command("map")
 @MACHINE
 @click.option(
@@ -659,39 +554,20 @@ PARTS = ("poles", "campbell", "pulses", "unbalance")
     required=True,
     help="A controller file (*.json).",
 )
-@click.option(
-    "--what", type=click.Choice(PARTS), multiple=True, help="Only this (repeatable); default: all."
-)
+@options_from(Exploring, "parts")
 @click.option(
     "--point", help="Label of an operating point, or its beginning; default: the design point."
 )
-@click.option(
-    "--pressure-bar",
-    nargs=2,
-    type=float,
-    default=None,
-    help="Poles over this range of the seal pressure.",
-)
-@click.option(
-    "--speed-rpm", nargs=2, type=float, default=None, help="Poles over this range of the speed."
-)
-@click.option("--bound", is_flag=True, help="An upper bound beside the worst unbalance found.")
-@RATE
-@DELAY
+@options_from(Exploring, "pressure", "speed", "bound", "rate", "delay_samples")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="A page (*.html).")
 @AS_JSON
 def map_command(
     machine: str,
     controller: Path,
-    what: tuple[str, ...],
     point: str | None,
-    pressure_bar: tuple[float, float] | None,
-    speed_rpm: tuple[float, float] | None,
-    bound: bool,
-    rate_hz: float | None,
-    delay_samples: int | None,
     output: Path | None,
     as_json: bool,
+    **asked: Any,
 ) -> None:
     """Map a loop over its range: poles over speed and pressure, Campbell, pulse and unbalance over
     the tolerances.
@@ -700,8 +576,6 @@ def map_command(
     members of the tolerances swing after a pulse; the worst orbit by unbalance over speed. Exit
     status 1: not stable everywhere in the machine's own range.
     """
-    from math import pi
-
     from ambrose.judge.exploration import explore
     from ambrose.law.loop import timing_in_words
     from ambrose.report import theme as units
@@ -710,23 +584,9 @@ def map_command(
     description = load(machine)
     law = load_controller(controller, description)
     claim(page=output)
-    reach = {}
-    if pressure_bar is not None:
-        reach["pressure"] = (1e5 * pressure_bar[0], 1e5 * pressure_bar[1])
-    if speed_rpm is not None:
-        reach["speed"] = (pi / 30 * speed_rpm[0], pi / 30 * speed_rpm[1])
+    options = asked_for(Exploring, asked).values()
     with progress_shown(as_json) as progress:
-        exploration = explore(
-            description,
-            law,
-            parts=what or PARTS,
-            point=point,
-            reach=reach,
-            bound=bound,
-            rate=rate_hz,
-            delay_samples=delay_samples,
-            progress=progress,
-        )
+        exploration = explore(description, law, point=point, progress=progress, **options)
         failure = kept_page(exploration, output, progress=progress)
     if as_json:
         say_json({**exploration.to_dict(), "page": str(output) if output else None})
@@ -846,24 +706,13 @@ def export(
     A scheduled controller is written in floating point, verified at frozen speeds or pressures over
     its range.
     """
-    from ambrose.code.pipeline import export as write_for_target
-    from ambrose.judge.controller_file import read_controller
+    from ambrose.api import export as exported
 
     chosen = chosen_from(TARGETS, target, asked, _WORD)
-    other = None if fallback is None else read_controller(fallback)
-    file, known = read_controller(controller), None if machine is None else load(machine)
-    running = None if replaces is None else read_controller(replaces)
+    known = None if machine is None else load(machine)
+    laws = {"fallback": fallback, "replaces": replaces, "axial": axial}
     with progress_shown(as_json) as progress:
-        delivery = write_for_target(
-            file,
-            output,
-            to=chosen,
-            machine=known,
-            fallback=other,
-            replaces=running,
-            axial=None if axial is None else read_controller(axial),
-            progress=progress,
-        )
+        delivery = exported(controller, output, to=chosen, machine=known, progress=progress, **laws)
     content = delivery.to_dict()
     if as_json:
         say_json(content)

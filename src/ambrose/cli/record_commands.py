@@ -8,17 +8,19 @@ from typing import Any
 
 import click
 
-from ambrose.cli.options import AXIS_COLUMNS, axis_columns, chosen_from, groups_from, options_from
 from ambrose.identification.methods import METHODS
 from ambrose.terminal import (
     AS_JSON,
     MACHINE,
     GroupedCommand,
+    chosen_from,
     claim,
+    groups_from,
     kept,
     kept_page,
     load,
     one_screen,
+    options_from,
     print_table,
     progress_shown,
     quantity_given,
@@ -26,6 +28,25 @@ from ambrose.terminal import (
     say_json,
     say_verdict,
 )
+
+# identification/one_axis/axis_record.py, which is not imported for --help
+AXIS_COLUMNS = ("displacement", "drive", "reference", "current", "voltage", "time")
+_AXIS_HELP = {
+    "displacement": "Of the axis; default: y, y_<axis>.",
+    "drive": "What the plant is driven by, a current best; default: u, u_<axis>.",
+    "reference": "What drives the loop from outside; default: r, e, yd, e_<axis>, r_<axis>.",
+    "current": "Of the coil; default: i, i_<axis>.",
+    "voltage": "Of the coil, to see whether the current belongs to it.",
+    "time": "Default: t, time.",
+}
+
+
+def axis_columns(command: Any) -> Any:
+    """Decorator of a command: a flag for every column of a record of one axis."""
+    for name in reversed(AXIS_COLUMNS):
+        command = click.option(f"--{name}", metavar="COLUMN", help=_AXIS_HELP[name])(command)
+    return command
+
 
 # `ambrose record check`.
 
@@ -51,7 +72,7 @@ def record_check(
     RECORD: a record, or a text table of one axis. MACHINE: whose record it is; its axes and limits
     are then checked. Exit status 1: it serves for nothing, or a signal is useless.
     """
-    from ambrose.identification.record_check import check_record
+    from ambrose.api import check_record
 
     done = check_record(
         record,
@@ -131,7 +152,7 @@ def identify_generic(
     with reasons what can carry no identification (status 2); status 1: a doubt, or "not this
     model".
     """
-    from ambrose.identification.one_axis.identify import identify_generic as run
+    from ambrose.api import identify_generic as run
     from ambrose.report.identification import generic_tables
 
     claim(page=output)
@@ -241,11 +262,10 @@ def identify(
     without a machine file: identify --generic RECORD. Exit status 1: done, but a warning says that
     the result is doubtful; 2: refused.
     """
+    from ambrose.api import identify as run
     from ambrose.identification.pipeline import Provenance, check_controller
-    from ambrose.identification.pipeline import identify as run
     from ambrose.identification.validation.plausibility import check_comparable
     from ambrose.identification.validation.plausibility import compare as agreement
-    from ambrose.judge.controller_file import read_controller
     from ambrose.machine.file.update import machine_text
     from ambrose.machine.ordinary_file import write_text
 
@@ -259,11 +279,10 @@ def identify(
     claim(machine_file=output, report=report)
     names = Provenance(tuple(path.name for path in records), controller.name if controller else "")
     with progress_shown(as_json) as progress:
-        law = read_controller(controller) if controller else None
         done = run(
             description,
             records,
-            law,
+            controller,
             method=chosen,
             repeats=repeats,
             between=between,

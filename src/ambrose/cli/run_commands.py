@@ -3,30 +3,29 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import click
 
 from ambrose.code.targets import PROCESSORS, WORDS, C
+from ambrose.options import Rules, Simulating, option
 from ambrose.terminal import (
     ALL,
     AS_JSON,
-    DELAY,
     MACHINE,
-    PRESSURE_ERROR,
-    RATE,
-    STUCK_AFTER,
     GroupedCommand,
+    asked_for,
     claim,
     kept,
     kept_page,
     load,
     load_controller,
+    options_from,
     print_checks,
     print_table,
     progress_shown,
-    quantity_given,
     say,
     say_json,
 )
@@ -40,7 +39,7 @@ if TYPE_CHECKING:
 
 _GROUPS = {
     "": ("path", "scenario", "point", "output", "report"),
-    "The run": ("axial", "linear", "rate_hz", "delay_samples", "bending_modes", "seed", "second"),
+    "The run": ("axial", "linear", "rate", "delay_samples", "bending_modes", "seed", "second"),
     "A fallback beside a controller scheduled over pressure": (
         "fallback",
         "pressure_rate",
@@ -50,6 +49,32 @@ _GROUPS = {
     ),
     "The code on its processor": ("on_target", "arithmetic"),
 }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OnTarget(Simulating):
+    """A run that may have its controller's code on a processor."""
+
+    rules: ClassVar[Rules] = (
+        *Simulating.rules,
+        (("on_target",), "linear", False, Simulating.rules[0][-1]),
+        (
+            ("second", "fallback", "axial"),
+            "on_target",
+            False,
+            "the binary is one controller's; leave one of the two out",
+        ),
+        (("arithmetic",), "on_target", True, "name a processor"),
+    )
+    on_target: str | None = option(
+        None,
+        "The controller's C code, compiled for this processor, runs in QEMU as the controller; "
+        "beside it once more on this computer.",
+        choices=PROCESSORS,
+    )
+    arithmetic: Any = option(
+        None, "With --on-target: numbers of the code; default: double.", choices=WORDS
+    )
 
 
 @click.command(cls=GroupedCommand, groups=_GROUPS)
@@ -64,59 +89,10 @@ _GROUPS = {
 @click.option(
     "--scenario", required=True, help="A scenario file (*.toml) or the name of a bundled scenario."
 )
-@click.option(
-    "--axial",
-    type=click.Path(path_type=Path),
-    help="The controller of machine.toml#axial: all axes run together.",
-)
-@click.option(
-    "--linear", is_flag=True, help="The linear model instead of the nonlinear virtual rig."
-)
-@click.option(
-    "--second",
-    type=click.Path(path_type=Path),
-    help="A controller that takes over at the scenario's switch_at.",
-)
-@click.option(
-    "--fallback",
-    type=click.Path(path_type=Path),
-    help="Fixed controller for when a schedule's pressure cannot be trusted.",
-)
-@click.option(
-    "--pressure-rate",
-    metavar="RATE",
-    help='With --fallback: the fastest change believed, such as "80 bar/s".',
-)
-@PRESSURE_ERROR
-@STUCK_AFTER
-@click.option(
-    "--estimate",
-    type=click.Choice(["beside", "alone"]),
-    help="With --fallback: a seal monitor runs beside the pressure's reading, or its estimate is "
-    "told in place of one.",
-)
-@click.option(
-    "--bending-modes",
-    type=int,
-    help="Bending modes per plane of the rig; default: 3, as identify models.",
-)
-@click.option(
-    "--on-target",
-    type=click.Choice(PROCESSORS),
-    help="The controller's C code, compiled for this processor, runs in QEMU as the controller; "
-    "beside it once more on this computer.",
-)
-@click.option(
-    "--arithmetic",
-    type=click.Choice(WORDS),
-    help="With --on-target: numbers of the code; default: double.",
-)
-@click.option("--seed", type=int, help="Of the sensors' noise on the rig; default: 0.")
+@options_from(OnTarget)
 @click.option(
     "--point", default=None, help="Label of an operating point, or its beginning; default: nominal."
 )
-@RATE
-@DELAY
 @click.option(
     "--report",
     type=click.Path(path_type=Path),
@@ -130,121 +106,50 @@ def simulate(
     machine: str,
     path: Path,
     scenario: str,
-    axial: Path | None,
-    linear: bool,
-    second: Path | None,
-    fallback: Path | None,
-    pressure_rate: str | None,
-    pressure_error: str | None,
-    stuck_after: float | None,
-    estimate: str | None,
-    on_target: str | None,
-    arithmetic: str | None,
-    bending_modes: int | None,
-    seed: int | None,
     point: str | None,
-    rate_hz: float | None,
-    delay_samples: int | None,
     report: Path | None,
     output: Path,
     as_json: bool,
+    **asked: Any,
 ) -> None:
     """Run a scenario on the virtual rig (or the linear model) and write the record (*.h5 or *.csv).
 
     An *.h5 record of the rig grows while it runs, as *.h5.partial, which stays readable when the
     run is interrupted.
     """
-    from ambrose.core.checks import invalid
+    from ambrose.api import simulate as run
     from ambrose.law.loop import DEFAULT, timing_in_words, timing_of
     from ambrose.record.files import check_suffix, write_record
     from ambrose.report.record import REACHED, run_result
-    from ambrose.rig.trial import simulate_scenario
 
-    for option, value in (
-        ("--bending-modes", bending_modes),
-        ("--seed", seed),
-        ("--second", second),
-        ("--fallback", fallback),
-        ("--on-target", on_target),
-        ("--axial", axial),
-    ):
-        if linear and value is not None:
-            remedy = (
-                "the linear loop has all modes, no noise and one controller; leave one of the two "
-                "out"
-            )
-            raise invalid(option, value, "left out with --linear", remedy)
-    watched = {
-        "--pressure-rate": pressure_rate,
-        "--pressure-error": pressure_error,
-        "--stuck-after": stuck_after,
-    }
-    watched["--estimate"] = estimate
-    for option, is_given in watched.items():
-        if is_given is not None and fallback is None:
-            raise invalid(
-                option, is_given, "given with --fallback", "name the controller that takes over"
-            )
-    for option, there in (("--second", second), ("--fallback", fallback), ("--axial", axial)):
-        if on_target is not None and there is not None:
-            remedy = "the binary is one controller's; leave one of the two out"
-            raise invalid(option, there, "left out with --on-target", remedy)
-    if arithmetic is not None and on_target is None:
-        raise invalid("--arithmetic", arithmetic, "given with --on-target", "name a processor")
+    chosen = asked_for(OnTarget, asked)
+    options = chosen.values()
+    target, words = options.pop("on_target"), options.pop("arithmetic")
     description = load(machine)
     controller = load_controller(path, description)
     check_suffix(output)
     claim(record=output, report=report)
-    growing = not linear and output.suffix.lower() != ".csv"
-    options: dict[str, Any] = (
-        {} if second is None else {"second": load_controller(second, description)}
-    )
-    if axial is not None:
-        options["axial"] = load_controller(axial, description.axial)
-    if fallback is not None:
-        rate = quantity_given(pressure_rate, "--pressure-rate", "pressure per time")
-        error = quantity_given(pressure_error, "--pressure-error", "pressure")
-        options |= {"fallback": load_controller(fallback, description), "pressure_rate": rate}
-        options |= {
-            "pressure_error": error or 0.0,
-            "stuck_after": stuck_after,
-            "estimate": estimate,
-        }
-    if not linear:
-        options |= {
-            "bending_modes": bending_modes,
-            "seed": seed or 0,
-            "path": output if growing else None,
-        }
+    growing = not chosen.linear and output.suffix.lower() != ".csv"
+    options |= {"point": point, "path": output if growing else None}
+    for name in ("second", "axial", "fallback"):
+        if options[name] is not None:
+            place = description.axial if name == "axial" else description
+            options[name] = load_controller(options[name], place)
     looped: InLoop | None = None
     with progress_shown(as_json) as progress:
-        if on_target is not None:
+        if target is not None:
             from ambrose.code.in_loop import simulate_on_target
 
-            code = C(
-                try_on=on_target,
-                arithmetic=cast("Any", arithmetic or "double"),
-                rate=rate_hz,
-                delay_samples=delay_samples,
-            )
+            timed = {name: options.pop(name) for name in ("rate", "delay_samples")}
+            code = C(try_on=target, arithmetic=words or "double", **timed)
             looped = simulate_on_target(
-                description, controller, scenario, code, point=point, progress=progress, **options
+                description, controller, scenario, code, progress=progress, **options
             )
             trace = looped.trace
         else:
-            trace = simulate_scenario(
-                description,
-                controller,
-                scenario,
-                point=point,
-                linear=linear,
-                rate=rate_hz,
-                delay_samples=delay_samples,
-                progress=progress,
-                **options,
-            )
-    timing = timing_of(description, controller, rate_hz, delay_samples) or (
-        None if linear else DEFAULT
+            trace = run(description, controller, scenario, progress=progress, **options)
+    timing = timing_of(description, controller, chosen.rate, chosen.delay_samples) or (
+        None if chosen.linear else DEFAULT
     )
     result = run_result(trace, description)
     failure = None if growing else kept(lambda path: write_record(trace.record, path), output)
@@ -289,7 +194,7 @@ def study_command(machine: str, output: Path | None, everything: bool, as_json: 
     """The whole chain: every controller the machine file allows, verified, simulated and compared
     in report.html; exit status 1 where none meets every check or commissioning was not done.
     """
-    from ambrose.chain.study import study
+    from ambrose.api import study
     from ambrose.core.checks import InvalidInput
     from ambrose.machine.ordinary_file import file_name
     from ambrose.report.comparison_tables import decision
@@ -299,7 +204,7 @@ def study_command(machine: str, output: Path | None, everything: bool, as_json: 
     description = load(machine)
     directory = output or Path(f"study-{file_name(description.name)}")
     with progress_shown(as_json) as progress:
-        result = study(description, directory, progress)
+        result = study(description, directory, progress=progress)
     report = None if result.unwritten else directory / "report.html"
     if as_json:
         say_json({**result.to_dict(), "report": report and str(report)})

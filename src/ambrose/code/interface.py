@@ -117,7 +117,7 @@ def interface_of(law: Law, arithmetic: str) -> Interface:
         places = {
             "c": ("c", real, beside.channels),
             "faults": ("faults", "unsigned", 1),
-            **_amplitudes(beside, "sync.", _amplitude(arithmetic)),
+            **amplitudes_at(beside, "sync.", amplitude_type(arithmetic)),
         }
     if axial is not None:
         sources += [f"{axial.name}.c", f"{name}_axes.c"]
@@ -139,29 +139,12 @@ def interface_of(law: Law, arithmetic: str) -> Interface:
     return Interface(unit.removesuffix("_block"), unit, tuple(sources), arguments, places)
 
 
-def synchronous_interface(law: SynchronousLaw, name: str, arithmetic: str) -> Interface:
-    """Of synchronous blocks by themselves."""
-    real, n = TYPES[arithmetic][0], law.channels
-    arguments = (
-        Argument("pulse", real),
-        Argument("error", real, n),
-        Argument("current", real, n),
-        Argument("flags", "unsigned"),
-        Argument("c", real, n, given=False),
-    )
-    places = {
-        "now": ("now", real, 1),
-        **_amplitudes(law, "", _amplitude(arithmetic)),
-    }
-    return Interface(name, f"{name}_state", (f"{name}.c",), arguments, places, "begin")
-
-
-def _amplitude(arithmetic: str) -> str:
+def amplitude_type(arithmetic: str) -> str:
     """The type of the blocks' amplitudes: of whole numbers the same for both words."""
     return "int64_t" if arithmetic.startswith("fixed") else arithmetic
 
 
-def _amplitudes(law: SynchronousLaw, before: str, real: str) -> dict[str, tuple[str, str, int]]:
+def amplitudes_at(law: SynchronousLaw, before: str, real: str) -> dict[str, tuple[str, str, int]]:
     """State, fault and amplitude of every block."""
     kinds = {"state": ("int", 1), "fault": ("unsigned", 1)}
     kinds |= {"re": (real, law.channels), "im": (real, law.channels)}

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from ambrose.options import Options, count, hertz, option, positive
+from ambrose.options import READING_ERROR, STUCK_AFTER, AsItRuns, hertz, option, positive
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -42,36 +42,23 @@ def _identifier(value: Any, name: str) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Target(Options, ABC):
+class Target(AsItRuns, ABC):
     """How a controller is written, whatever it is written for.
 
-    name: prefix of every name in the code, a C identifier. rate [Hz]: of the samples,
-    delay_samples: from measured errors to currents set (None: as the controller or the machine file
-    says, ``law.loop.timing_of``; 10 kHz and one sample where nobody does); sampling, prewarp
-    [rad/s]: as in ``core.sampling.c2d``. error_limit [m], current_limit [A]: one number or one per
-    axis (None: the bearings' gaps, or twice their touchdown gaps, and largest currents).
-    windup_time [s], hold_samples: as in ``build_block`` (None: its own). speed_limit [rad/s],
-    speed_rate [rad/s^2], pressure_limit [Pa], pressure_rate [Pa/s]: of a controller that is
-    scheduled over the one, as in ``build_scheduled_block``. force: write a controller that is not
-    verified, or not stable everywhere. Raises InvalidInput.
+    name: prefix of every name in the code, a C identifier. rate [Hz], delay_samples: 10 kHz and one
+    sample where neither controller nor machine file says it. sampling, prewarp [rad/s]: as in
+    ``core.sampling.c2d``. error_limit [m], current_limit [A]: one number or one per axis (None: the
+    bearings' gaps, or twice their touchdown gaps, and largest currents). windup_time [s],
+    hold_samples: as in ``build_block`` (None: its own). speed_limit [rad/s], speed_rate [rad/s^2],
+    pressure_limit [Pa], pressure_rate [Pa/s]: of a controller that is scheduled over the one, as in
+    ``build_scheduled_block``. force: write a controller that is not verified, or not stable
+    everywhere. Raises InvalidInput.
     """
 
     to: ClassVar[str]
     beside: ClassVar[str] = "its interface has no key phasor"  # why it holds no synchronous blocks
     name: str = option(
         "controller", "Prefix of every name in the code, a C identifier.", check=_identifier
-    )
-    rate: float | None = option(
-        None,
-        "Sample rate; default: the controller's or the machine file's.",
-        flag="--rate-hz",
-        check=positive("give it in Hz"),
-    )
-    delay_samples: int | None = option(
-        None,
-        "From measured errors to currents set; default: the controller's, the machine file's, or "
-        "1.",
-        check=count("1 is usual", "the computing delay"),
     )
     sampling: Method = option(
         "tustin", "How it is sampled.", choices=("tustin", "zoh", "backward-euler", "matched")
@@ -167,18 +154,8 @@ class C(Target):
         "Realisation in C: modal, or of a filter bank its sections one by one.",
         choices=("modal", "cascade"),
     )
-    pressure_error: float | None = option(
-        None,
-        'With --fallback: how far off the reading may be, such as "0.4 bar"; an estimate trims it '
-        "by as much.",
-        dimension="pressure",
-        metavar="PRESSURE",
-    )
-    stuck_after: float | None = option(
-        None,
-        "With --fallback: how long the very same reading may come; default: not watched.",
-        metavar="SECONDS",
-    )
+    pressure_error: float | None = option(None, **READING_ERROR)
+    stuck_after: float | None = option(None, **STUCK_AFTER)
     try_on: str | None = option(
         None,
         "Compile it for this processor too, run it there in QEMU, and compare bit by bit.",

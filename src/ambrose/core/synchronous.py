@@ -259,16 +259,6 @@ def largest_step(
     return gain * dt * size * error + amplitude * frequency * dt
 
 
-def missed_share(frequency_error: float, gain: float) -> float:
-    """What is left of the synchronous part [-] while the frequency is off by a constant error
-    [rad/s].
-
-    The notch passes |(s^2 + W^2)/(s^2 + eps s + W^2)| at W + dW: 2 dW/sqrt(4 dW^2 + eps^2) near W.
-    """
-    # s = j (W + dW): W^2 + s^2 = -2 W dW - dW^2, over W: 2 dW/|2 dW - j eps| for dW << W
-    return 2 * abs(frequency_error) / float(np.hypot(2 * frequency_error, gain))
-
-
 # Blocks that move once a turn, in their loop: exact multipliers over a turn.
 #
 # Over a turn of N samples the amplitude a stands still. With the loop x[k+1] = A x[k] + B c[k],
@@ -314,14 +304,6 @@ class TurnMap:
         return np.asarray(np.linalg.eigvals(whole))
 
 
-def turn_map(loop: StateSpace, T: np.ndarray, speed: float, harmonic: int = 1) -> TurnMap:
-    """The map of a sampled loop from c to what the block reads, T (a, m) complex.
-
-    speed [rad/s]: of the rotor; its turn is taken as the nearest whole number of samples.
-    """
-    return turn_map_of(loop, [(T, harmonic)], speed)
-
-
 def turn_map_of(
     loop: StateSpace, blocks: Sequence[tuple[np.ndarray, int]], speed: float
 ) -> TurnMap:
@@ -349,21 +331,3 @@ def turn_map_of(
         x = loop.A @ x + loop.B @ c
     m = np.vstack([part for total in totals for part in (total.real, total.imag)]) / samples
     return TurnMap(x[:, :n], x[:, n:], m[:, :n], m[:, n:], samples * loop.dt)
-
-
-def largest_turn_gain(
-    loop: StateSpace,
-    T: np.ndarray,
-    speed: float,
-    highest: float,
-    tolerance: float = 0.01,
-    leak: float = 0.0,
-    harmonic: int = 1,
-) -> float:
-    """The gain eps [1/s] up to which a block that moves once a turn is stable; as
-    ``core.synchronous.largest_gain``.
-    """
-    over = turn_map(loop, T, speed, harmonic)
-    return largest_stable(
-        lambda gain: bool(np.abs(over.multipliers(gain, leak)).max() < 1), highest, tolerance
-    )

@@ -49,6 +49,7 @@ from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant, top_speed
 from ambrose.model.static_load import Unbalance, residual_unbalance
 from ambrose.model.uncertainty import default_bending_modes, reduce, tolerances_around, uncertain
+from ambrose.options import PARTS, Exploring
 
 # Poles of a closed loop while one thing changes: speed, pressure, or a parameter over its
 # tolerance; where stability ends.
@@ -339,7 +340,6 @@ def pulse_family(
     return PulseFamily(time, responses, np.asarray(members, dtype=float), stable, tuple(outputs))
 
 
-PARTS = ("poles", "campbell", "pulses", "unbalance")
 ALONG = ("pulses",)  # what there is of a machine's axis along the shaft
 OVER = {"speed": "rad/s", "pressure": "Pa"}
 _STANDING = 9  # speeds along the range at which stability is judged
@@ -458,42 +458,26 @@ def explore(
     machine: Machine,
     controller: LawLike,
     *,
-    parts: Sequence[str] = PARTS,
     point: str | OperatingPoint | None = None,
-    reach: dict[str, tuple[float, float]] | None = None,
-    bound: bool = False,
-    rate: float | None = None,
-    delay_samples: int | None = None,
     progress: Callable[[str], None] = lambda stage: None,
+    **options: Any,
 ) -> Exploration:
     """A controller over the range of a machine, around an operating point (None: the one designs
     are made for).
 
-    parts: some of PARTS (along the shaft ALONG alone). reach: of a map, {"pressure": (0.0, 4e5)}
-    [Pa], "speed" [rad/s] (None: zero to twice the largest pressure, to 1.2 times the top speed).
-    bound: an upper bound beside the worst unbalance found, which takes longer. rate [Hz],
-    delay_samples: of the sampled loop. Raises InvalidInput.
+    options: of ``ambrose.options.Exploring``; along the shaft there is ALONG alone. Raises
+    InvalidInput.
     """
-    unknown = [part for part in parts if part not in PARTS]
-    if unknown or not parts:
-        raise invalid(
-            "the parts", ", ".join(unknown) or "none", f"some of {', '.join(PARTS)}", "correct them"
-        )
-    for name, span in (reach or {}).items():
-        if name not in OVER or not 0 <= span[0] < span[1]:
-            remedy = "give speed or pressure from a lower to a higher value"
-            raise invalid(
-                f"the range of {name}",
-                f"{span[0]:g} to {span[1]:g}",
-                "ascending, of speed or pressure",
-                remedy,
-            )
+    asked = Exploring(**options)
+    parts = asked.parts or PARTS
+    spans = {"pressure": asked.pressure, "speed": asked.speed}
+    reach = {name: span for name, span in spans.items() if span is not None}
     if isinstance(machine, AxialMachine):
         parts = ALONG if tuple(parts) == PARTS and not reach else parts
         if set(parts) - set(ALONG) or reach:
             across_the_shaft(machine, "nothing along it follows speed, pressure or unbalance")
     law = law_of(controller)
-    timing = timing_of(machine, law, rate, delay_samples)
+    timing = timing_of(machine, law, asked.rate, asked.delay_samples)
     at = chosen_point(machine, point) or machine.operation.design
     plant = assemble(machine, at)
     notes: list[str] = []
@@ -507,9 +491,7 @@ def explore(
         assumed=lost_as_assumed(machine, law, timing, standing),
     )
     if "poles" in parts:
-        done = replace(
-            done, maps=tuple(_maps(machine, law, timing, at, reach or {}, notes, progress))
-        )
+        done = replace(done, maps=tuple(_maps(machine, law, timing, at, reach, notes, progress)))
     if "campbell" in parts:
         done = replace(done, campbell=campbell_map(plant, _along_speed(law, timing, at), progress))
     tolerances = tolerances_around(plant)
@@ -518,7 +500,7 @@ def explore(
             "no tolerances at this operating point: a family over them is the nominal loop alone"
         )
     elif {"pulses", "unbalance"} & set(parts):
-        done = _over_tolerances(done, plant, law, timing, parts, bound, notes, progress)
+        done = _over_tolerances(done, plant, law, timing, parts, asked.bound, notes, progress)
     return replace(done, notes=tuple(notes))
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +23,6 @@ from ambrose.judge.checks import (
     Check,
     Checks,
     Curve,
-    Motion,
     Verification,
     box_label,
     judge,
@@ -58,6 +58,7 @@ from ambrose.model.assemble import assemble
 from ambrose.model.effect import pressure_knots, speed_knots
 from ambrose.model.plant import Plant, beyond_top_speed
 from ambrose.model.uncertainty import default_bending_modes, not_varied, reduce, tolerances_around
+from ambrose.options import Verifying
 
 # Verification between operating points: a range of speeds and pressures, gridded as finely as the
 # loop changes.
@@ -283,32 +284,23 @@ def verify_controller(
     controller: LawLike,
     points: Sequence[str | OperatingPoint] | None = None,
     *,
-    tolerances: bool = True,
-    everywhere: bool = False,
-    rate: float | None = None,
-    delay_samples: int | None = None,
-    pressure_rate: float | None = None,
-    pressure_error: float = 0.0,
-    speed_rate: float | None = None,
     progress: Progress = lambda stage: None,
+    **options: Any,
 ) -> Verification:
     """The checks of a controller on the full plant at every operating point, and over the
     tolerances around each.
 
     machine: or the plants to verify on, one or several. controller: what controls, as a law or as
     anything that ``law.law.law_of`` makes one of. points: operating points or labels (None: all).
-    tolerances: whether the tolerance boxes are examined; everywhere: bounds and proofs around every
-    point, not the first alone. rate [Hz], delay_samples: the loop as it
-    runs, sampled by Tustin's map and late; None: as the controller or the machine file says
-    (``law.loop.timing_of``); where neither knows a rate the continuous loop is judged, and
-    ``timing`` says so. pressure_rate [Pa/s]: the fastest change of the seal pressure (None: the
-    machine file's; without one nothing is proved for a pressure that changes); pressure_error [Pa]:
-    how far off what a controller scheduled over it is told may be; speed_rate [rad/s^2]: the
-    fastest run-up, for a proof while the speed changes, over the tolerances as well (None: none).
-    Operating points that a schedule does not cover are listed as left out. Raises InvalidInput
-    where the controller is not one for this machine.
+    options: of ``ambrose.options.Verifying``. The loop is sampled by Tustin's map and late; where
+    nobody knows a rate the continuous loop is judged, and ``timing`` says so. Operating points that
+    a schedule does not cover are listed as left out. Raises InvalidInput where the controller is
+    not one for this machine, and, before anything is computed, where a motion cannot be examined.
     """
-    law = law_of(controller)
+    law, asked = law_of(controller), Verifying(**options)
+    whole = machine if points is None and isinstance(machine, Machine) else None
+    if whole is not None:
+        refuse_motion(whole, law, asked)
     if not isinstance(machine, Machine):
         plants = (machine,) if isinstance(machine, Plant) else tuple(machine)
     elif points is None:
@@ -320,39 +312,32 @@ def verify_controller(
             "no operating point is given; name one at least, or leave points out for all of the "
             "machine"
         )
-    motion = Motion(pressure_rate, pressure_error, speed_rate)
-    if points is None and isinstance(machine, Machine):
-        refuse_motion(machine, law, motion)
     within, left_out = split_covered(law, plants)
-    timing = timing_of(within[0].machine, law, rate, delay_samples)
+    timing = timing_of(within[0].machine, law, asked.rate, asked.delay_samples)
     checks = verify_points(within, law, progress, timing)
     boxes: tuple[Checks, ...] = ()
-    if tolerances:
-        boxes = verify_tolerances(within, law, checks, progress, timing, everywhere=everywhere)
+    if asked.tolerances:
+        boxes = verify_tolerances(
+            within, law, checks, progress, timing, everywhere=asked.everywhere
+        )
     ranges: tuple[Checks, ...] = ()
     moving: tuple[Checks, ...] = ()
-    if points is None and isinstance(machine, Machine):
-        ranges, beyond = verify_ranges(machine, law, checks, progress, timing)
+    if whole is not None:
+        ranges, beyond = verify_ranges(whole, law, checks, progress, timing)
         left_out = (*left_out, *beyond)
         moving = tuple(
             item
             for proof in moving_proofs()
-            for item in proof.prove(
-                machine, law, checks, timing, motion, tolerances=tolerances, progress=progress
-            )
+            for item in proof.prove(whole, law, checks, timing, asked, progress)
         )
-    blocks = (
-        verify_synchronous(machine, law, rate, delay_samples, progress, speed_rate)
-        if points is None
-        else ()
-    )
-    still = tuple(words for plant in within for words in not_varied(plant)) if tolerances else ()
+    blocks = () if whole is None else verify_synchronous(whole, law, asked, progress)
+    still = tuple(words for plant in within for words in not_varied(plant))
     return Verification(
         checks,
         boxes,
         left_out,
         CONTINUOUS if timing is None else str(timing),
-        still,
+        still if asked.tolerances else (),
         ranges,
         moving,
         blocks,
@@ -452,27 +437,19 @@ def verify_ranges(
 
 
 def verify_synchronous(
-    machine: Machine | Plant | Sequence[Plant],
-    law: Law,
-    rate: float | None = None,
-    delay_samples: int | None = None,
-    progress: Progress = lambda stage: None,
-    speed_rate: float | None = None,
+    machine: Machine, law: Law, asked: Verifying, progress: Progress
 ) -> tuple[Checks, ...]:
-    """The checks of every synchronous block: the controller file's, else the machine file's; none
-    for plants alone. speed_rate [rad/s^2]: the fastest run-up.
+    """The checks of every synchronous block: the controller file's, else the machine file's.
 
     Raises InvalidInput for blocks that do not fit the machine, or a controller scheduled over
     speed.
     """
-    if not isinstance(machine, Machine):
-        return ()
     settings = machine.controller
     blocks = law.synchronous or (() if settings is None else settings.synchronous)
     if not blocks:
         return ()
-    items = block_loops(machine, law, blocks, rate, delay_samples)
-    return tuple(check_block(item, progress, speed_rate=speed_rate) for item in items)
+    items = block_loops(machine, law, blocks, asked.rate, asked.delay_samples)
+    return tuple(check_block(item, progress, speed_rate=asked.speed_rate) for item in items)
 
 
 def verify_tolerances(

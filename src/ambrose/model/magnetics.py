@@ -698,26 +698,6 @@ def homopolar(part: Magnet) -> DrivenMagnet:
     )
 
 
-def three_pole(turns: float, pole_area: float, gap: float) -> DrivenMagnet:
-    """Three poles at 90, 210 and 330 deg, one coil each, without another path for the flux.
-
-    The force is the square of a single complex flux, so that it is linear about a static load
-    only: bias currents (1, -1/2, -1/2) pull along +eta, f_eta = (9/16) mu_0 N^2 A i_0^2/s_0^2 2/3,
-    and k_i is diagonal there. Source: Chen and Hsu, IEEE/ASME Trans. Mechatronics 7 (2002).
-    """
-    angles = np.pi / 2 + np.arange(3) * 2 * np.pi / 3
-    branches = [
-        Branch(_S, _R, pole_area, gap, f"pole {k + 1}", (float(np.cos(a)), float(np.sin(a))))
-        for k, a in enumerate(angles)
-    ]
-    network = MagneticNetwork(branches, turns * np.eye(3))
-    # One complex flux phi = phi_zeta + j phi_eta makes the force f_zeta + j f_eta ~ -j conj(phi)^2.
-    # Bias puts phi along eta; a small change d of it adds -2 j conj(phi) conj(d), so that currents
-    # in the pattern -cos(a) add force along zeta, and sin(a) along eta.
-    drive = np.column_stack([-np.cos(angles), np.sin(angles)])
-    return DrivenMagnet(network, np.array([1.0, -0.5, -0.5]), drive)
-
-
 def thrust(
     turns: tuple[float, float],
     inner_area: float,

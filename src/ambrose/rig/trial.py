@@ -8,11 +8,11 @@ trace = simulate_scenario(machine, controller, "levitation")
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import wraps
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -41,6 +41,7 @@ from ambrose.model.assemble import assemble, bending_modes_of, judged_bending
 from ambrose.model.effects.rotor import mass_properties
 from ambrose.model.plant import Plant, beyond_top_speed
 from ambrose.model.uncertainty import free_mode_reduction, reduce
+from ambrose.options import Simulating
 from ambrose.registry import registered, resolve
 from ambrose.rig import all_axes, linear, virtual_rig
 from ambrose.rig.engine.controller import sample_time
@@ -92,61 +93,45 @@ def simulate_scenario(
     scenario: str | Scenario,
     *,
     point: str | OperatingPoint | None = None,
-    linear: bool = False,
-    rate: float | None = None,
-    delay_samples: int | None = None,
-    fallback: LawLike | None = None,
-    pressure_rate: float | None = None,
-    pressure_error: float = 0.0,
-    stuck_after: float | None = None,
-    estimate: Literal["beside", "alone"] | None = None,
-    axial: LawLike | None = None,
     progress: Progress = lambda stage: None,
-    **rig: Any,
+    **options: Any,
 ) -> Trace:
     """One scenario on the nonlinear virtual rig or, ``linear``, on the linear closed loop.
 
     machine: or a Plant, whose operating point is then the default. controller: what controls, as a
     law or as anything that ``law.law.law_of`` makes one of. scenario: bundled, a file, or a
-    Scenario. point: operating point or label (None: the nominal one). rate [Hz], delay_samples: of
-    the controller (None: as it or the machine file says; the rig takes 10 kHz and one sample where
-    nobody does). fallback: the fixed controller that takes over where the pressure that a schedule
-    is told cannot be trusted, pressure_rate [Pa/s]: how fast that may change (None: the machine
-    file's), pressure_error [Pa]: how far off the reading may be, stuck_after [s]: how long it may
-    be the very same (None: for ever); ``law.supervision``. estimate: a seal monitor runs "beside"
-    the reading, or "alone" in place of it (registered by the annex of schedules). axial: the
-    controller of the axis along the shaft: all axes then run together (``rig.all_axes``), as with a
-    program of all axes (rig only). Synchronous blocks of the controller, else of the machine file,
-    run beside it (rig only, without the axis along the shaft). rig: further arguments of
-    ``virtual_rig.run`` (second, bending_modes, seed, path, ...). Raises InvalidInput.
+    Scenario. point: operating point or label (None: the nominal one). options: of
+    ``ambrose.options.Simulating``; the rig takes 10 kHz and one sample where nobody says a rate.
+    With ``axial``, as with a program of all axes, all of them run together (``rig.all_axes``).
+    Synchronous blocks of the controller, else of the machine file, run beside it (rig only, without
+    the axis along the shaft). ``estimate`` is registered by the annex of schedules. Raises
+    InvalidInput.
     """
+    asked = Simulating(**options)
+    fallback = asked.fallback
+    # those of virtual_rig.run
+    names = ("bending_modes", "seed", "path", "every", "dt", "computing_delay")
+    rig = {name: getattr(asked, name) for name in names}
     law = law_of(controller)
     plant = machine if isinstance(machine, Plant) else None
     described = machine.machine if isinstance(machine, Plant) else machine
     events = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
-    parts = all_axes.parts_of(law, axial)
+    parts = all_axes.parts_of(law, asked.axial)
     if parts is not None:
-        given = {"linear": linear, "fallback": fallback, "second": rig.pop("second", None)}
-        return _all_axes(described, parts, events, point, given, rate, delay_samples, progress, rig)
+        return _all_axes(described, parts, events, point, asked, progress, rig)
+    rig["second"] = asked.second
     across = events.across if isinstance(described, AxialMachine) else ()
     events, where = events.on(described), chosen_point(described, point)
-    timing = timing_of(described, law, rate, delay_samples)
+    timing = timing_of(described, law, asked.rate, asked.delay_samples)
     blocks = blocks_of(described, law)
-    if blocks and (linear or fallback is not None or rig.get("second") is not None):
+    if blocks and (asked.linear or fallback is not None or asked.second is not None):
         raise invalid(
             "the simulation of a controller with synchronous blocks",
-            "linear" if linear else "with a second controller",
+            "linear" if asked.linear else "with a second controller",
             "on the virtual rig, the controller alone",
             "leave that out, or the blocks out of the controller's file",
         )
-    if linear:
-        if rig or fallback is not None:
-            raise invalid(
-                "the simulation",
-                f"linear with {', '.join(rig) or 'a fallback'}",
-                "on the virtual rig for these",
-                "leave linear out",
-            )
+    if asked.linear:
         if plant is None or where is not None:
             progress("assembling the plant")
             plant = assemble(described, where or described.operation.nominal)
@@ -154,12 +139,7 @@ def simulate_scenario(
         trace = simulate_linear(plant, law, events, timing)
         return _warned(trace, described, events, plant.point, across=across)
     if timing is not None:
-        rig.setdefault("computing_delay", timing.delay_samples)
-        events = (
-            replace(events, sample_time=timing.sample_time)
-            if events.sample_time is None or rate is not None
-            else events
-        )
+        events, rig = _timed(events, rig, timing, asked)
     progress(
         f"running {events.name} on the virtual rig (the first run on a computer compiles it, half "
         "a minute)"
@@ -176,19 +156,22 @@ def simulate_scenario(
         raise invalid("fallback", "given", "left out", "no law along the shaft follows a pressure")
     if fallback is None:
         trace = virtual_rig.run(described, law, events, point=start, progress=progress, **rig)
-        return _warned(trace, described, events, start, rig.get("bending_modes"), across=across)
+        return _warned(trace, described, events, start, asked.bending_modes, across=across)
     sample = sample_time(law, described, events.sample_time)
     schedule, other = check_pair(law, fallback)
-    stuck = math.inf if stuck_after is None else stuck_after
-    rate = math.inf if estimate == "alone" else pressure_rate  # a mean of the past moves by steps
-    limits = supervision_limits(schedule, described, rate, pressure_error, stuck)
+    stuck = math.inf if asked.stuck_after is None else asked.stuck_after
+    # a mean of the past moves by steps
+    fastest = math.inf if asked.estimate == "alone" else asked.pressure_rate
+    limits = supervision_limits(schedule, described, fastest, asked.pressure_error, stuck)
     program: Any = supervised(law, other, described, sample, limits)
-    if estimate is not None:
+    if asked.estimate is not None:
         at = start or described.operation.nominal
-        program = _companion()(program, described, events, other, at, estimate, pressure_rate)
+        program = _companion()(
+            program, described, events, other, at, asked.estimate, asked.pressure_rate
+        )
     trace = virtual_rig.run(described, program, events, point=start, progress=progress, **rig)
     trace = replace(trace, text=f"{trace.text}; {program.words()}")
-    return _warned(trace, described, events, start, rig.get("bending_modes"))
+    return _warned(trace, described, events, start, asked.bending_modes)
 
 
 def _all_axes(
@@ -196,15 +179,13 @@ def _all_axes(
     parts: all_axes.Parts,
     events: Scenario,
     point: str | OperatingPoint | None,
-    given: Mapping[str, Any],
-    rate: float | None,
-    delay_samples: int | None,
+    asked: Simulating,
     progress: Progress,
     rig: dict[str, Any],
 ) -> Trace:
     """A scenario on the rig of all axes. Raises InvalidInput for what else was given."""
-    for name, value in given.items():
-        if value:
+    for name in ("linear", "fallback", "second"):
+        if getattr(asked, name):
             raise invalid(
                 f"{name} beside an axial controller",
                 "given",
@@ -212,13 +193,22 @@ def _all_axes(
                 "leave it out, or run the parts one by one",
             )
     where = chosen_point(machine, point)
-    timing = timing_of(machine, parts.radial, rate, delay_samples)
+    timing = timing_of(machine, parts.radial, asked.rate, asked.delay_samples)
     if timing is not None:
-        rig.setdefault("computing_delay", timing.delay_samples)
-        if events.sample_time is None or rate is not None:
-            events = replace(events, sample_time=timing.sample_time)
+        events, rig = _timed(events, rig, timing, asked)
     trace = all_axes.run(machine, parts, events, point=where, progress=progress, **rig)
-    return _warned(trace, machine, events.parted(machine)[0], where, rig.get("bending_modes"))
+    return _warned(trace, machine, events.parted(machine)[0], where, asked.bending_modes)
+
+
+def _timed(
+    events: Scenario, rig: dict[str, Any], timing: Timing, asked: Simulating
+) -> tuple[Scenario, dict[str, Any]]:
+    """The scenario and the rig's arguments with a timing, where they state none themselves."""
+    if rig["computing_delay"] is None:
+        rig = {**rig, "computing_delay": timing.delay_samples}
+    if events.sample_time is None or asked.rate is not None:
+        events = replace(events, sample_time=timing.sample_time)
+    return events, rig
 
 
 def _warned(

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, ClassVar, Self
 
-from ambrose.options import Options, count, option, percent, positive
+from ambrose.options import AsItRuns, count, option, percent, positive
 from ambrose.registry import registered, resolve
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Method(Options, ABC):
+class Method(AsItRuns, ABC):
     """One way to a controller; each of its options is a field.
 
     rate [Hz]: the loop runs sampled; delay_samples: from measured errors to currents set (None: as
@@ -40,19 +40,6 @@ class Method(Options, ABC):
     name: ClassVar[str]
     title: ClassVar[str]  # for people
     begins_as: ClassVar[str | None] = None  # the method whose controller it goes on from
-
-    rate: float | None = option(
-        None,
-        "Sample rate; default: the controller's or the machine file's.",
-        flag="--rate-hz",
-        check=positive("10000 Hz is usual"),
-    )
-    delay_samples: int | None = option(
-        None,
-        "From measured errors to currents set; default: the controller's, the machine file's, or "
-        "1.",
-        check=count("1 is usual", "the computing delay"),
-    )
 
     @classmethod
     @abstractmethod

@@ -60,6 +60,7 @@ from ambrose.machine.criteria import TWO_PI
 from ambrose.machine.machine import Machine, across_the_shaft
 from ambrose.machine.part import SYNCHRONOUS_UPDATES, Synchronous
 from ambrose.model.plant import top_speed
+from ambrose.options import Rejecting
 from ambrose.synthesis.synchronous_gain import MODE as DAMPING
 from ambrose.synthesis.synchronous_gain import (
     SHARE,
@@ -469,38 +470,22 @@ def in_words(item: Forbidden) -> str:
     return f"{item}; {instead} ({item.low / TWO_PI:.4g} to {item.high / TWO_PI:.4g} Hz)"
 
 
-def check_request(
-    synchronous: str | None,
-    method: str,
-    given: Mapping[str, Any],
-    machine: Machine,
-    name: str = "synchronous",
-) -> None:
-    """What can be refused of a block that is asked for beside a design, before that. given: the
-    other options by name, None where left out; name: what the block's own option is called. Raises
+def check_request(asked: Rejecting, method: str, machine: Machine) -> None:
+    """What can be refused of a block that is asked for beside a design, before that. Raises
     InvalidInput.
     """
-    for option, value in given.items():
-        if value is not None and synchronous is None:
-            raise invalid(option, "given", f"given with {name}", f"add {name} current-free")
-    if synchronous is None:
+    if asked.synchronous is None:
         return
     if method == "lpv":
         raise invalid(
-            name,
-            synchronous,
+            "synchronous",
+            asked.synchronous,
             "left out with the method lpv",
             "give a controller fixed over speed",
         )
-    if synchronous not in MODES:
-        raise invalid(name, repr(synchronous), f"one of {', '.join(MODES)}", "choose one of them")
-    band = given.get(f"{name}_band", given.get(f"{name}-band"))
-    if synchronous == DAMPING and band is None:
-        option = f"{name}{'-' if name.startswith('--') else '_'}band"
+    if asked.synchronous == DAMPING and asked.synchronous_band is None:
         raise InvalidInput(
-            f"{name} damping is for the speeds around a critical speed; give them with {option}"
+            "synchronous damping is for the speeds around a critical speed; give them with "
+            "synchronous_band (--synchronous-band)"
         )
-    band_of(machine, band)
-    for option, value in given.items():
-        if option.endswith("time") and value is not None:
-            check_positive(value, option, "give 2/eps in seconds")
+    band_of(machine, asked.synchronous_band)

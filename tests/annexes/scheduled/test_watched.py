@@ -189,7 +189,7 @@ def test_refusals():
         simulate_scenario(RIG, SCHEDULE, events(0.5, pulses=(Pulse("r_A_zeta", 1e-6),)), **given)
     with pytest.raises(InvalidInput, match="at one speed"):
         simulate_scenario(RIG, SCHEDULE, events(0.5, speed=10.0, to_speed=100.0), **given)
-    with pytest.raises(InvalidInput, match="beside or alone"):
+    with pytest.raises(InvalidInput, match="one of beside, alone"):
         simulate_scenario(RIG, SCHEDULE, events(0.5), **{**given, "estimate": "instead"})
     with pytest.raises(InvalidInput, match="pressure_rate is not given"):
         simulate_scenario(RIG, SCHEDULE, events(0.5), **{**given, "estimate": "alone"})

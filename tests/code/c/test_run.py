@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from benchmarks.compiled_synchronous import CompiledRun
 
 from ambrose import StateSpace, load_machine
 from ambrose.code.block.block import build_block
@@ -16,7 +17,7 @@ from ambrose.code.block.run import run_block, run_scheduled, run_supervised
 from ambrose.code.block.scheduled import supervise
 from ambrose.code.c.code import in_words
 from ambrose.code.c.compiled import find_compiler
-from ambrose.code.c.synchronous import CompiledRun, generate_run
+from ambrose.code.c.synchronous import generate_run
 from ambrose.code.sampled import deploy
 from ambrose.code.synchronous import RunUnit, in_order, run_unit, run_unit_words
 from ambrose.core.checks import InvalidInput

@@ -59,6 +59,7 @@ from ambrose.machine.units import shown, suggestion
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant, top_speed
 from ambrose.model.uncertainty import default_bending_modes, perturbed, reduce, tolerances_around
+from ambrose.options import AsItRuns, Simulating
 from ambrose.rig.trial import simulate_scenario
 
 # The tasks: a row of numbers and words for every case, failures as their reason. This is what
@@ -117,22 +118,16 @@ def check_options(plan: Plan) -> None:
 
 def _options_of(task: str) -> dict[str, Any]:
     """The options of a task by name, with the annotation of each."""
-    from ambrose.rig import virtual_rig
     from ambrose.synthesis.methods import methods
 
-    trial = annotations_of(simulate_scenario)
     if task in {"screen", "verify"}:
-        return {name: trial[name] for name in ("rate", "delay_samples")}
+        return annotations_of(AsItRuns)
     if task == "design":
         asked = [annotations_of(kind) for kind in methods().values()]
         return {"method": str, **{name: kind for part in asked for name, kind in part.items()}}
-    rig = {
-        name: annotations_of(virtual_rig.run)[name]
-        for name in ("seed", "bending_modes", "dt", "every")
-    }
-    # not by an option
-    reserved = {"machine", "controller", "scenario", "point", "progress", "fallback", "rig"}
-    options = {name: kind for name, kind in {**trial, **rig}.items() if name not in reserved}
+    reserved = {"fallback", "second", "path", "computing_delay"}  # not by an option
+    run = annotations_of(Simulating).items()
+    options = {name: kind for name, kind in run if name not in reserved}
     identified = {"method": str, "unknown": str | list[str], "repeats": bool}
     return {**options, **identified} if task == "identify" else options
 

@@ -12,17 +12,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ambrose.options import AsItRuns
 from ambrose.terminal import (
     AS_JSON,
-    DELAY,
     MACHINE,
-    RATE,
+    asked_for,
     claim,
     kept,
     kept_page,
     load,
     load_controller,
     one_screen,
+    options_from,
     print_table,
     progress_shown,
     say,
@@ -61,8 +62,7 @@ _MOST_ROWS = 200  # of a comparison in a terminal
     help="Mean gas density [kg/m3], for the screening of Level I.",
 )
 @click.option("--nominal", is_flag=True, help="Without the search over the tolerances.")
-@RATE
-@DELAY
+@options_from(AsItRuns)
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), help="The report as a page (*.html)."
 )
@@ -81,12 +81,11 @@ def lateral_command(
     trip_rpm: float | None,
     density: float | None,
     nominal: bool,
-    rate_hz: float | None,
-    delay_samples: int | None,
     output: Path | None,
     beside: Path | None,
     data: Path | None,
     as_json: bool,
+    **asked: Any,
 ) -> None:
     """Lateral analysis after API 617 and ISO 14839, clause by clause.
 
@@ -112,9 +111,8 @@ def lateral_command(
             trip=None if trip_rpm is None else trip_rpm * RPM,
             density=density,
             tolerances=not nominal,
-            rate=rate_hz,
-            delay_samples=delay_samples,
             progress=progress,
+            **asked_for(AsItRuns, asked).values(),
         )
         if controller is not None:
             digest = sha256(controller.read_bytes()).hexdigest()

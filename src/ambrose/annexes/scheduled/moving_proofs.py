@@ -32,7 +32,7 @@ from ambrose.core.checks import (
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, is_stable, select
 from ambrose.core.statespace import balance_matrix as balance
-from ambrose.judge.checks import Checks, Motion, Progress, information
+from ambrose.judge.checks import Checks, Progress, information
 from ambrose.law.law import PRESSURE, SPEED, Law, LawLike, law_of
 from ambrose.law.loop import Timing, running_law
 from ambrose.machine.criteria import demand
@@ -40,6 +40,7 @@ from ambrose.machine.machine import Machine, across_the_shaft
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
 from ambrose.model.uncertainty import reduce
+from ambrose.options import Verifying
 
 # Verification while the seal pressure changes: stability and output sensitivity proved along every
 # motion of it.
@@ -317,7 +318,7 @@ def covered_spans(machine: Machine, law: LawLike) -> tuple[PressureSpan, ...]:
     )
 
 
-def refuse(machine: Machine, law: Law, motion: Motion) -> None:
+def refuse(machine: Machine, law: Law, motion: Verifying) -> None:
     """Raises InvalidInput where a law cannot be examined along the motion that is asked for."""
     if motion.speed_rate is not None:
         across_the_shaft(
@@ -336,9 +337,7 @@ def prove(
     law: Law,
     points: Sequence[Checks],
     timing: Timing | None,
-    motion: Motion,
-    *,
-    tolerances: bool,
+    motion: Verifying,
     progress: Progress,
 ) -> tuple[Checks, ...]:
     """The checks while the seal pressure changes, then those while the speed does.
@@ -352,13 +351,13 @@ def prove(
     if motion.speed_rate is None:
         return checks
     runs = (
-        check_speed(machine, span, law, timing, motion.speed_rate, tolerances, progress)
+        check_speed(machine, span, law, timing, motion.speed_rate, motion.tolerances, progress)
         for span in _speed_spans(machine, law)
     )
     return (*checks, *runs)
 
 
-def unproved(machine: Machine, motion: Motion) -> str | None:
+def unproved(machine: Machine, motion: Verifying) -> str | None:
     """Why nothing is proved for a pressure that changes between the operating points of a machine,
     as a sentence; None where no operating points differ in pressure.
     """
@@ -375,7 +374,7 @@ def unproved(machine: Machine, motion: Motion) -> str | None:
 
 
 def _along_pressure(
-    machine: Machine, law: Law, timing: Timing | None, motion: Motion, progress: Progress
+    machine: Machine, law: Law, timing: Timing | None, motion: Verifying, progress: Progress
 ) -> tuple[Checks, ...]:
     """The checks while the pressure changes at up to the rate given or that of the machine file.
 

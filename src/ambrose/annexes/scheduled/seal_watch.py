@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 
@@ -675,8 +675,6 @@ def watched(
     fast the pressure changes at most, which an estimate "alone" has to be told. Raises
     InvalidInput.
     """
-    if how not in get_args(Estimated):
-        raise invalid("estimate", repr(how), " or ".join(get_args(Estimated)), "choose one of them")
     if scenario.runs_up:
         raise InvalidInput(
             "the monitor watches at one speed, and the scenario changes it; leave the run-up or "

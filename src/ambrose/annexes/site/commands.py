@@ -11,16 +11,17 @@ from typing import Any
 
 import click
 
+from ambrose.options import AsItRuns
 from ambrose.terminal import (
     ALL,
     AS_JSON,
-    DELAY,
     MACHINE,
     claim,
     kept,
     kept_page,
     load,
     load_controller,
+    options_from,
     print_checks,
     print_table,
     progress_shown,
@@ -36,7 +37,7 @@ from ambrose.terminal import (
 @MACHINE
 @click.argument("controller", type=click.Path(path_type=Path))
 @click.argument("records", nargs=-1, required=True, type=click.Path(path_type=Path))
-@DELAY
+@options_from(AsItRuns, "delay_samples")
 @click.option(
     "--harmonics",
     type=int,

@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ambrose.options import AsItRuns
 from ambrose.terminal import (
     AS_JSON,
-    DELAY,
     MACHINE,
-    RATE,
+    asked_for,
     claim,
     kept,
     kept_page,
     load,
+    options_from,
     print_table,
     progress_shown,
     say,
@@ -62,8 +63,7 @@ _LEVERS = ("gain", "weight", "area", "bias", "bandwidth")
 @click.option(
     "--order", type=int, default=None, help="States of the controllers; default: three per axis."
 )
-@RATE
-@DELAY
+@options_from(AsItRuns)
 @click.option("--unverified", is_flag=True, help="Do not verify the size that is taken.")
 @click.option(
     "-o",
@@ -88,12 +88,11 @@ def size(
     widths: str | None,
     reserve: float,
     order: int | None,
-    rate_hz: float | None,
-    delay_samples: int | None,
     unverified: bool,
     output: Path | None,
     machine_out: Path | None,
     as_json: bool,
+    **asked: Any,
 ) -> None:
     """How small the magnets may be: every pole area with every bias current, and whether a
     controller meets what is asked.
@@ -112,10 +111,8 @@ def size(
         raise InvalidInput(
             "--least gives no map; leave out --areas, --biases, --output and --machine-out"
         )
-    description, method = (
-        load(machine),
-        Tuned(rate=rate_hz, delay_samples=delay_samples, order=order),
-    )
+    description = load(machine)
+    method = Tuned(order=order, **asked_for(AsItRuns, asked).values())
     if lever is not None:
         _least(description, lever, method, tolerance, _shares("--widths", widths), reserve, as_json)
     else:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import coherence
 
-from ambrose.core.checks import InvalidInput, check_positive, check_shape, invalid
+from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.presentation import Presented, with_unit
 from ambrose.identification.data_quality.signals import flat_tops
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding, refuse
@@ -31,8 +31,6 @@ from ambrose.machine.units import DIMENSIONS, read_quantity
 # First look at a record of one levitated axis, whatever controlled it: whether anything can be
 # identified from it, before anything is fitted.
 #
-# findings = first_look(time, position, current, voltage=u, gap=0.02)
-#
 # The plant is m y'' = k_s y + k_i i about the mean position, with the pole p = sqrt(k_s / m). Under
 # its own weight, f ~ (i / y)^2 holds it with k_s = 2 m g / y, so that p = sqrt(2 g / y): the rate
 # that a record needs is known before the plant is.
@@ -48,43 +46,6 @@ _AT_STOP = (
 )
 _BELONGS = 0.95  # of the voltage's variance that R i + L di/dt explains at least; assumed
 _LEAST = 50  # samples
-
-
-def first_look(
-    time: np.ndarray,
-    position: np.ndarray,
-    current: np.ndarray,
-    *,
-    voltage: np.ndarray | None = None,
-    gap: float | None = None,
-) -> tuple[Finding, ...]:
-    """What is wrong with a record of one levitated axis.
-
-    time (n,) [s]; position (n,) [m], the distance from the magnet; current (n,) [A] and voltage
-    (n,) [V] of its coil (None: not recorded); gap [m]: the travel (None: the largest position).
-    Raises InvalidInput for arrays that do not belong together.
-    """
-    t = check_shape(time, "time", "(n)").astype(float)
-    signals = {"position": position, "current": current}
-    if voltage is not None:
-        signals["voltage"] = voltage
-    for name, values in signals.items():
-        if np.shape(values) != t.shape:
-            remedy = "record all signals together"
-            raise invalid(f"the shape of {name}", np.shape(values), f"{t.shape}, as time", remedy)
-    if len(t) < _LEAST or not (np.diff(t) > 0).all():
-        wanted = f"{_LEAST} or more, ascending"
-        raise invalid("time", f"{len(t)} values", wanted, "give the record as it was taken")
-    dead = tuple(dead_channels(signals))
-    alive = {name: np.asarray(values, float) for name, values in signals.items()}
-    if dead:
-        return dead
-    return (
-        *levitation(t, alive["position"], gap),
-        *rate_by_weight(t, alive["position"]),
-        *coarse_steps(alive),
-        *coil_equation(t, alive),
-    )
 
 
 def dead_channels(signals: dict[str, np.ndarray]) -> Iterator[Finding]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.unbalance_estimate import unbalance_from_amplitudes
 from click.testing import CliRunner
 
 import ambrose as amb
@@ -14,7 +15,6 @@ from ambrose.annexes.site.balancing_vectors import (
     balance_amplitudes,
     grown,
     read_amplitudes,
-    unbalance_from_amplitudes,
 )
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
@@ -264,7 +264,8 @@ def test_one_hold_on_the_rig_falls_by_30_db_and_tells_93_percent_of_the_unbalanc
     """Nonlinear rig with noise, C block, key phasor: 1x current by 30 dB, and what balancing
     leaves.
     """
-    from ambrose.code.c.synchronous import CompiledSynchronous
+    from benchmarks.compiled_synchronous import CompiledSynchronous
+
     from ambrose.law.synchronous import running_law
     from ambrose.rig.scenario import Scenario, Unbalance
     from ambrose.rig.synchronous import synchronous_program
