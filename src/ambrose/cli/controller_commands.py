@@ -435,6 +435,7 @@ def trade_off(
 
 _GROUPS = {
     "": ("path", "everywhere", "report", "everything"),
+    "On measured responses": ("measured", "running"),
     "The loop as it runs": ("rate_hz", "delay_samples"),
     "Proofs while the machine moves": ("pressure_rate", "pressure_error", "speed_rate"),
     "Synchronous blocks": ("page",),
@@ -454,6 +455,20 @@ _GROUPS = {
     "--everywhere",
     is_flag=True,
     help="Bounds and proofs over the tolerances around every operating point, not the first alone.",
+)
+@click.option(
+    "--measured",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    help="Frequency responses of the machine, a file for each operating point (repeatable): they "
+    "decide there, the model elsewhere.",
+)
+@click.option(
+    "--running",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="The controller that ran while they were measured (*.json); default: none, they are of "
+    "the plant alone.",
 )
 @RATE
 @DELAY
@@ -497,6 +512,8 @@ def verify(
     machine: str,
     path: Path,
     everywhere: bool,
+    measured: tuple[Path, ...],
+    running: Path | None,
     rate_hz: float | None,
     delay_samples: int | None,
     pressure_rate: str | None,
@@ -508,7 +525,7 @@ def verify(
     as_json: bool,
 ) -> None:
     """Check a controller on the full plant: at every operating point of the machine, and over all
-    tolerances around each.
+    tolerances around each; or on the plant as measured.
     """
     from ambrose.core.checks import check_positive, invalid
     from ambrose.judge.checks import Motion, moving_proofs, refuse_motion
@@ -537,11 +554,14 @@ def verify(
         check_positive(speed_rate, "--speed-rate", "give the fastest run-up in rad/s^2")
     motion = Motion(fastest, error or 0.0, speed_rate)
     refuse_motion(description, controller, motion)
+    ran = load_controller(running, description) if running else None
     with progress_shown(as_json) as progress:
         result = verify_controller(
             description,
             controller,
             everywhere=everywhere,
+            measured=measured,
+            running=ran,
             rate=rate_hz,
             delay_samples=delay_samples,
             pressure_rate=fastest,

@@ -30,6 +30,7 @@ from ambrose.judge.checks import (
     refuse_motion,
     required_line,
 )
+from ambrose.judge.measured import Responses, check_measured, placed
 from ambrose.judge.plants import (
     Progress,
     full_plants,
@@ -272,6 +273,8 @@ def verify_controller(
     *,
     tolerances: bool = True,
     everywhere: bool = False,
+    measured: Responses = (),
+    running: LawLike | None = None,
     rate: float | None = None,
     delay_samples: int | None = None,
     pressure_rate: float | None = None,
@@ -285,7 +288,10 @@ def verify_controller(
     machine: or the plants to verify on, one or several. controller: what controls, as a law or as
     anything that ``law.law.law_of`` makes one of. points: operating points or labels (None: all).
     tolerances: whether the tolerance boxes are examined; everywhere: bounds and proofs around every
-    point, not the first alone. rate [Hz], delay_samples: the loop as it
+    point, not the first alone. measured: frequency responses or their files, one for each operating
+    point that they are of, where they decide in place of the model and its tolerances
+    (``judge.measured``); running: the controller that ran then (None: they are of the plant alone).
+    rate [Hz], delay_samples: the loop as it
     runs, sampled by Tustin's map and late; None: as the controller or the machine file says
     (``law.loop.timing_of``); where neither knows a rate the continuous loop is judged, and
     ``timing`` says so. pressure_rate [Pa/s]: the fastest change of the seal pressure (None: the
@@ -311,11 +317,19 @@ def verify_controller(
     if points is None and isinstance(machine, Machine):
         refuse_motion(machine, law, motion)
     within, left_out = split_covered(law, plants)
-    timing = timing_of(within[0].machine, law, rate, delay_samples)
-    checks = verify_points(within, law, progress, timing)
+    places = placed(within, measured, running)
+    stated = next((one.sample_rate_hz for one in places.values()), None) if rate is None else rate
+    timing = timing_of(within[0].machine, law, stated, delay_samples)
+    by_lines = []
+    for k, response in sorted(places.items()):
+        progress(f"judging on the responses of {within[k].point.label}")
+        by_lines.append(check_measured(within[k], response, law, running, timing))
+    modelled = [plant for k, plant in enumerate(within) if k not in places]
+    checks = verify_points(modelled, law, progress, timing)
     boxes: tuple[Checks, ...] = ()
     if tolerances:
-        boxes = verify_tolerances(within, law, checks, progress, timing, everywhere=everywhere)
+        boxes = verify_tolerances(modelled, law, checks, progress, timing, everywhere=everywhere)
+    checks = (*by_lines, *checks)
     ranges: tuple[Checks, ...] = ()
     moving: tuple[Checks, ...] = ()
     if points is None and isinstance(machine, Machine):
@@ -333,7 +347,7 @@ def verify_controller(
         if points is None
         else ()
     )
-    still = tuple(words for plant in within for words in not_varied(plant)) if tolerances else ()
+    still = tuple(words for plant in modelled for words in not_varied(plant)) if tolerances else ()
     return Verification(
         checks,
         boxes,
