@@ -214,7 +214,7 @@ def test_random_controllers_on_the_measured_plant(kind, options):
     wrong, undecided, within, widths = count(truth, 4, kind, **options)
     assert not wrong and len(undecided) <= 1
     assert within == len(widths) > 0
-    assert max(widths) < 0.5
+    assert np.median(widths) < 0.4
 
 
 @pytest.mark.study
@@ -342,7 +342,7 @@ def test_from_the_command_line(tmp_path):
     named = {item["name"]: item for item in points[0]["checks"]}
     low, high = truth.largest(running()[1])[0] * np.array([1.0, 1.2])
     assert low < named["sensitivity.output.A_zeta"]["value"] < high
-    assert "measured and modelled" in (tmp_path / "p.html").read_text()
+    assert "measured and modelled" in (tmp_path / "p.html").read_text(encoding="utf-8")
     refused = run(*given)
     assert refused.exit_code == 2 and "--running" in refused.stderr
     assert len(refused.stderr.strip().splitlines()) <= 3
