@@ -174,9 +174,14 @@ def judged(response, law, ran=True):
     return check_measured(plant(), response, law, running()[0] if ran else None, timing)
 
 
+def peaks(checks, which):
+    """The largest sensitivity of every axis: "measured", "lower end", "upper end", "model"."""
+    return checks.curve(f"sensitivity.output.{which}").y[1:].max(axis=1)
+
+
 def ends(checks):
     """The lower and the upper end of the largest sensitivity of every axis."""
-    return np.array([(curve.y[1].max(), curve.y[2].max()) for curve in checks.curves]).T
+    return peaks(checks, "lower end"), peaks(checks, "upper end")
 
 
 def count(truth, number, kind="T", seed=0, **options):
@@ -238,8 +243,7 @@ def test_the_measured_answer_beside_the_models(magnets, mode, capsys):
     checks = judged(sweep(truth, law[1]), law)
     value = truth.largest(law[1])
     low, high = ends(checks)
-    model = np.array([curve.y[3].max() for curve in checks.curves])
-    measured = np.array([curve.y[0].max() for curve in checks.curves])
+    model, measured = peaks(checks, "model"), peaks(checks, "measured")
     print(f"{magnets} {mode}: {value.round(2)} {measured.round(2)} {model.round(2)}")
     assert ((low <= value) & (value <= high)).all()
     assert np.abs(measured / value - 1).max() < 0.04

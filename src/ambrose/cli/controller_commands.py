@@ -623,6 +623,9 @@ def _say_what_decides(result: Verification, unproved: Sequence[str]) -> None:
         if result.timing == CONTINUOUS
         else f"The loop is {timing_in_words(result.timing)}."
     )
+    for checks in result.points:
+        if checks.label.endswith(", measured"):
+            say(" ".join((f"{checks.label[0].upper()}{checks.label[1:]}:", *checks.notes)))
     # by point and reason, as model.uncertainty.not_varied words them; another reason in full
     left = list(result.not_varied)
     for ending, why in (("(zero here)", "zero there"), (" only)", "given for other points")):

@@ -673,22 +673,27 @@ def _checks(
         what = ALL_AXES if name == "max" else name
         title = f"Peak output sensitivity, {what}, upper end as measured"
         checks.append(judge(f"sensitivity.output.{name}", title, high, "-", wanted, detail))
-        if name != "max":
-            ends = np.vstack([row, np.maximum(row - radius, 0.0), row + radius, expected])
-            names = ("measured", "lower end", "upper end", "model")
-            curves.append(
-                Curve(
-                    f"sensitivity.measured.{name}",
-                    f"Output sensitivity of {name}, measured and modelled",
-                    "frequency",
-                    omega,
-                    ends,
-                    names,
-                    "rad/s",
-                    "-",
-                    zone_lines(SENSITIVITY, limit),
-                )
+    ends = (
+        ("", rows),
+        (".measured", rows),
+        (".lower end", np.maximum(rows - radii, 0.0)),
+        (".upper end", rows + radii),
+        (".model", others),
+    )
+    for suffix, values in ends:
+        curves.append(
+            Curve(
+                f"sensitivity.output{suffix}",
+                "Output sensitivity" + (", measured and modelled" if suffix else ""),
+                "frequency",
+                omega,
+                values,
+                (ALL_AXES, *axes),
+                "rad/s",
+                "-",
+                zone_lines(SENSITIVITY, limit, "an axis"),
             )
+        )
     for i, axis in enumerate(axes):
         gain, phase = margins(np.einsum("wii->iw", judged.S)[i], judged.radius[:, i])
         for kind, title, value, unit in (
