@@ -16,10 +16,10 @@ new loop has fewer unstable poles than the running one, which has none, but for 
 themselves (principle of the argument). Where |A dY D| < 1 for all that dY may be, no error changes
 that count (Rouche).
 
-Between the lines Y is a cubic through the four nearest ones. What a line is off the cubic through
-its neighbours bounds what the cubic misses beside it, for every resonance whose half-width is at
-least _SEEN of the spacing: for a pole at distance g from the real axis and lines h apart the ratio
-of both is 2.84 g/h. Narrower ones miss by their part more.
+Between the lines Y is a cubic through the four nearest ones. What the ends of an interval are off
+the cubic through lines as far apart as it is wide bounds what the cubic misses within, for every
+resonance whose half-width is at least _SEEN of the spacing: for a pole at distance g from the real
+axis and lines h apart the ratio of both is 2.84 g/h. Narrower ones miss by their part more.
 
 verify_controller(machine, controller, measured=["responses.h5"], running=running)
 """
@@ -192,6 +192,30 @@ def _scatter(omega: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.asarray(np.median(miss[around], axis=1) / np.log(2) + floor)
 
 
+def _even(omega: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """For every interval (w-1,) its two ends (w-1, 2), four lines (w-1, 2, 4) by which each end is
+    predicted, and their weights: lines that lie as far apart as the interval is wide, since closer
+    ones say nothing of what it may hide.
+    """
+    n, x = len(omega), np.log(omega)
+    nodes = np.zeros((n - 1, 2, 4), int)
+    for k, h in enumerate(np.diff(omega)):
+        steps = h * (1 - 1e-9) * np.arange(1, 5)
+        left = np.searchsorted(omega, omega[k] - steps, side="right") - 1
+        right = np.searchsorted(omega, omega[k + 1] + steps)
+        left, right = np.unique(left[left >= 0])[::-1], np.unique(right[right < n])
+        # two on one side, the other end and one beyond it
+        before = [*left[:2], k + 1, *right]
+        after = [*right[:2], k, *left]
+        near = [i for i in range(n) if i not in (k, k + 1)]
+        spare = sorted(near, key=lambda i, k=k: abs(i - k))
+        for row, found in enumerate((before, after)):
+            nodes[k, row] = np.sort(list(dict.fromkeys([*found[:4], *spare]))[:4])
+    ends = np.stack([np.arange(n - 1), np.arange(1, n)], axis=1)
+    weights = _cubic(x[ends].ravel(), x[nodes].reshape(-1, 4)).reshape(nodes.shape)
+    return ends, nodes, weights
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Between:
     """X (w, a, a), its variance and what the cubic may miss, at lines and between; spacing (w,)
@@ -222,15 +246,16 @@ def between(lines: Lines, extra: np.ndarray, modes: np.ndarray) -> Between:
     X = np.einsum("wk,wkij->wij", weights, lines.X[nodes])
     variance = np.einsum("wk,wkij->wij", weights**2, lines.variance[nodes])
 
-    # what a line is off its neighbours, as far as noise does not explain it
-    others, c = _left_out(omega)
-    off = np.abs(lines.X - np.einsum("wk,wkij->wij", c, lines.X[others]))
-    noise = lines.variance + np.einsum("wk,wkij->wij", c**2, lines.variance[others])
-    off = np.maximum(off - lines.reach * np.sqrt(noise), 0.0)
+    # what the ends of an interval are off, as far as noise does not explain it
+    ends, others, c = _even(omega)
+    off = np.abs(lines.X[ends] - np.einsum("wek,wekij->weij", c, lines.X[others]))
+    noise = lines.variance[ends] + np.einsum("wek,wekij->weij", c**2, lines.variance[others])
+    off = np.maximum(off - lines.reach * np.sqrt(noise), 0.0).max(axis=1)
+    noise = noise.max(axis=1)
 
     spacing = np.diff(omega)[at]
     narrow = np.maximum(_SEEN * spacing / (_LEAST * dense), 1.0)
-    missed = np.maximum(off[at], off[at + 1]) * narrow[:, None, None]
+    missed = off[at] * narrow[:, None, None]
 
     # noise may hide a mode of the machine file's damping beside its frequency
     damping = np.full(len(dense), np.inf)
@@ -240,7 +265,9 @@ def between(lines: Lines, extra: np.ndarray, modes: np.ndarray) -> Between:
     hidden = np.maximum(_SEEN * spacing / (damping * dense), 1.0)
     on_line = np.isin(dense, omega)
     missed[on_line], hidden[on_line] = 0.0, 1.0
-    return Between(dense, X, variance * (hidden**2)[:, None, None], missed, spacing)
+    hiding = hidden > 1
+    variance[hiding] = (noise[at] * (hidden**2)[:, None, None])[hiding]
+    return Between(dense, X, variance, missed, spacing)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
