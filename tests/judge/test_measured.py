@@ -254,8 +254,8 @@ def test_the_measured_answer_beside_the_models(magnets, mode, capsys):
     for i, axis in enumerate(machine().axes):
         gain, phase = margins(S[:, i, i], np.zeros(len(FINE)))
         own = [checks[f"margin.{kind}.output.{axis}"].value for kind in ("gain", "phase")]
-        assert 0.8 * gain < own[0] < 1.01 * gain
-        assert 0.8 * phase < own[1] < 1.01 * phase
+        assert 0.7 * gain < own[0] < 1.01 * gain
+        assert 0.7 * phase < own[1] < 1.01 * phase
 
 
 def test_margins_of_a_loop_in_closed_form():

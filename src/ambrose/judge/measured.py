@@ -207,8 +207,8 @@ def _even(omega: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         # two on one side, the other end and one beyond it
         before = [*left[:2], k + 1, *right]
         after = [*right[:2], k, *left]
-        near = [i for i in range(n) if i not in (k, k + 1)]
-        spare = sorted(near, key=lambda i, k=k: abs(i - k))
+        nearest = np.argsort(np.abs(np.arange(n) - k), kind="stable").tolist()
+        spare = [i for i in nearest if i not in (k, k + 1)]
         for row, found in enumerate((before, after)):
             nodes[k, row] = np.sort(list(dict.fromkeys([*found[:4], *spare]))[:4])
     ends = np.stack([np.arange(n - 1), np.arange(1, n)], axis=1)

@@ -143,13 +143,13 @@ def page_of_verification(verification: Verification, machine: Machine, **options
     operating points stands in sections of its own.
     """
     points, beside = [], []
-    for checks in verification.points:
-        own = [curve for curve in checks.curves if curve.name.startswith(_MEASURED)]
-        rest = tuple(curve for curve in checks.curves if curve not in own)
-        points.append(replace(checks, curves=rest))
+    for point in verification.points:
+        own = [curve for curve in point.curves if curve.name.startswith(_MEASURED)]
+        rest = tuple(curve for curve in point.curves if curve not in own)
+        points.append(replace(point, curves=rest))
         for curve in own:
             label = (
-                f"{curve.name.removeprefix(_MEASURED)}, {checks.label.removesuffix(', measured')}"
+                f"{curve.name.removeprefix(_MEASURED)}, {point.label.removesuffix(', measured')}"
             )
             beside.append((label, replace(curve, name="sensitivity.output.beside")))
     if beside:
