@@ -184,6 +184,8 @@ def verify(
     points: Sequence[OperatingPoint | str] | OperatingPoint | str | None = None,
     tolerances: bool = True,
     everywhere: bool = False,
+    measured: Any = (),
+    running: Any = None,
     rate: float | None = None,
     delay_samples: int | None = None,
     pressure_rate: float | None = None,
@@ -196,6 +198,8 @@ def verify(
 
     points: of the machine, one or several (None: all, the one that designs are made for first).
     everywhere: bounds and proofs over the tolerances around every point, not the first alone.
+    measured: frequency responses or their files, which decide at their operating points; running:
+    the controller that ran then (None: they are of the plant alone).
     rate [Hz], delay_samples: the loop as it runs, sampled by Tustin's map and late (None: as the
     controller or the machine file says; where neither knows a rate the continuous loop is judged).
     pressure_rate [Pa/s]: the fastest change of the seal pressure, for a proof while it changes
@@ -216,6 +220,8 @@ def verify(
         several,
         tolerances=tolerances,
         everywhere=everywhere,
+        measured=measured,
+        running=None if running is None else controller_of(running),
         rate=rate,
         delay_samples=delay_samples,
         pressure_rate=pressure_rate,

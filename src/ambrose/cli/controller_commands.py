@@ -380,6 +380,7 @@ def trade_off(
 
 _GROUPS = {
     "": ("path", "everywhere", "report", "everything"),
+    "On measured responses": ("measured", "running"),
     "The loop as it runs": ("rate", "delay_samples"),
     "Proofs while the machine moves": ("pressure_rate", "pressure_error", "speed_rate"),
     "Synchronous blocks": ("page",),
@@ -396,6 +397,20 @@ _GROUPS = {
     help="A controller file (*.json).",
 )
 @options_from(Verifying)
+@click.option(
+    "--measured",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    help="Frequency responses of the machine, a file for each operating point (repeatable): they "
+    "decide there, the model elsewhere.",
+)
+@click.option(
+    "--running",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="The controller that ran while they were measured (*.json); default: none, they are of "
+    "the plant alone.",
+)
 @click.option(
     "--report",
     type=click.Path(path_type=Path),
@@ -414,6 +429,8 @@ _GROUPS = {
 def verify(
     machine: str,
     path: Path,
+    measured: tuple[Path, ...],
+    running: Path | None,
     report: Path | None,
     page: Path | None,
     everything: bool,
@@ -421,7 +438,7 @@ def verify(
     **asked: Any,
 ) -> None:
     """Check a controller on the full plant: at every operating point of the machine, and over all
-    tolerances around each.
+    tolerances around each; or on the plant as measured.
     """
     from ambrose.api import verify as verified
     from ambrose.core.checks import invalid
@@ -446,8 +463,16 @@ def verify(
                 "--page", str(page), "given for a controller with a synchronous block", remedy
             )
     claim(page=page, report=report)
+    ran = load_controller(running, description) if running else None
     with progress_shown(as_json) as progress:
-        result = verified(description, controller, progress=progress, **options.values())
+        result = verified(
+            description,
+            controller,
+            measured=measured,
+            running=ran,
+            progress=progress,
+            **options.values(),
+        )
     failure = None
     if page is not None:
         from ambrose.report.page import write
@@ -502,6 +527,9 @@ def _say_what_decides(result: Verification, unproved: Sequence[str]) -> None:
         if result.timing == CONTINUOUS
         else f"The loop is {timing_in_words(result.timing)}."
     )
+    for checks in result.points:
+        if checks.label.endswith(", measured"):
+            say(" ".join((f"{checks.label[0].upper()}{checks.label[1:]}:", *checks.notes)))
     # by point and reason, as model.uncertainty.not_varied words them; another reason in full
     left = list(result.not_varied)
     for ending, why in (("(zero here)", "zero there"), (" only)", "given for other points")):

@@ -33,12 +33,11 @@ from ambrose.identification.validation.plausibility import diagnose_values
 from ambrose.law.law import LawLike
 from ambrose.law.loop import timing_of
 from ambrose.machine.machine import Machine
-from ambrose.record.response import CURRENT, QUANTITIES, Path, Response
+from ambrose.record.response import QUANTITIES, Path, Response, distance, predicted, usable, whole
 from ambrose.record.response_files import holds_responses, read_response
 
 _CYCLE = 2 * np.pi
 _RELATIVE, _FLOOR = 0.01, 0.05  # noise where none is stated: of the value, and of its median
-_SAME = 1e-6  # S + T - 1 of columns of which one was computed from the other
 # a mistake is named where the model is this far, and a correction brings it so much nearer
 _FAR, _NEARER = 0.05, 3.0
 _LOST = 0.6  # and this far without one, it is none of it
@@ -103,34 +102,6 @@ class Loop:
         return bool((np.abs(poles(self.model.loop(theta)[0])) < 1).all())
 
 
-def predicted(
-    path: Path, axes: Sequence[str], Y: np.ndarray, dY: np.ndarray, K: np.ndarray, whole: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """A path's values (w,) and derivatives (q, w) from those of Y. whole: G of all axes is there,
-    then G is the plant's, else that with the other loops closed.
-    """
-    i, j = axes.index(path.read), axes.index(path.injected)
-    T, dT = (K @ Y, K @ dY) if path.at == CURRENT else (Y @ K, dY @ K)
-    if path.quantity == "motion":
-        return Y[:, i, j], dY[:, :, i, j]
-    if path.quantity == "K":
-        return K[:, i, j], np.zeros_like(dY[:, :, i, j])
-    if path.quantity == "T":
-        return T[:, i, j], dT[:, :, i, j]
-    S, dS = float(i == j) - T[:, i, j], -dT[:, :, i, j]
-    if path.quantity == "S":
-        return S, dS
-    if path.quantity == "L":
-        return 1 / S - 1, -dS / S**2
-    KY, dKY = K @ Y, K @ dY
-    if whole:  # dG = (dY + G K dY) (I - K Y)^-1
-        inverse = np.linalg.inv(np.eye(len(axes)) - KY)
-        G = Y @ inverse
-        return G[:, i, j], ((dY + G @ dKY) @ inverse)[:, :, i, j]
-    s, ds = 1 - KY[:, i, i], -dKY[:, :, i, i]
-    return Y[:, i, i] / s, dY[:, :, i, i] / s - Y[:, i, i] * ds / s**2
-
-
 def identify_responses(
     machine: Machine,
     responses: Sequence[Response],
@@ -182,7 +153,7 @@ def identify_responses(
     e, y = ([f"{kind}_{axis}" for axis in plant.axes] for kind in "ey")
     loop = Loop(loop_model(plant, law, paths, values, e, y), tuple(plant.axes))
     begin = start_values(paths, values, start)
-    problem = Problem(loop, tuple(_usable(one, loop, timing.sample_time) for one in responses))
+    problem = Problem(loop, tuple(usable(one, loop.axes, timing.sample_time) for one in responses))
     progress("checking what was measured")
     refuse(problem.mistakes(begin))
     progress(f"identifying {len(paths)} parameters from {problem.count} paths")
@@ -212,46 +183,6 @@ def identify_responses(
         bending_modes=modes,
         notes=problem.notes(minimum.x),
     )
-
-
-def _usable(response: Response, loop: Loop, dt: float) -> Response:
-    """Without the paths that repeat others; raises InvalidInput for what the loop does not have."""
-    if response.omega[-1] * dt > np.pi * (1 + 1e-9):
-        raise InvalidInput(
-            f"the highest frequency, {response.omega[-1] / _CYCLE:g} Hz, lies beyond half the "
-            f"controller's {1 / dt:g} Hz; state the frequencies' unit (are they in rad/s, not Hz?),"
-            " or leave lines out"
-        )
-    for path in response.paths:
-        for axis in (path.read, path.injected):
-            if axis not in loop.axes:
-                known = ", ".join(loop.axes)
-                raise InvalidInput(
-                    f"{path.name}: there is no axis {axis!r}, the machine has {known}; correct it"
-                )
-        if path.quantity == "L" and path.read != path.injected:
-            raise InvalidInput(f"{path.name}: an open loop is that of one axis; leave it out")
-    if not _whole(response, loop.axes) and any(p.read != p.injected for p in response.kind("G")):
-        raise InvalidInput(
-            "the plant is there between different axes, but not between all of them; give all "
-            f"{len(loop.axes) ** 2} paths, or the diagonal alone"
-        )
-    sensitivities = {(p.read, p.injected, p.at): p for p in response.kind("S")}
-
-    def again(path: Path) -> bool:
-        other = sensitivities.get((path.read, path.injected, path.at))
-        if other is None or path.quantity not in {"T", "L"}:
-            return False
-        own = float(path.read == path.injected)
-        sum_ = other.values + path.values - own
-        left = sum_ if path.quantity == "T" else other.values * (1 + path.values) - 1
-        return bool(np.abs(left).max() < _SAME)
-
-    return replace(response, paths=tuple(path for path in response.paths if not again(path)))
-
-
-def _whole(response: Response, axes: Sequence[str]) -> bool:
-    return len(response.kind("G")) == len(axes) ** 2 > 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -287,11 +218,11 @@ class Problem:
         for one in self.responses:
             omega = one.omega * factor
             Y, dY = self.loop.motion(theta, omega)
-            K, whole = self.loop.controller(omega), _whole(one, axes)
+            K, every = self.loop.controller(omega), whole(one, axes)
             for path in one.paths:
                 read, injected = (named.get(x, x) for x in (path.read, path.injected))
                 as_named = replace(path, read=read, injected=injected)
-                yield path, *predicted(as_named, axes, Y, dY, K, whole)
+                yield path, *predicted(as_named, axes, Y, dY, K, every)
 
     def largest(self, path: Path) -> float:
         """The median size of the largest path of the same quantity."""
@@ -347,17 +278,17 @@ class Problem:
             groups.setdefault((id(omega), path.quantity, path.at), []).append(k)
         for (_, quantity, _), places in groups.items():
             items = [known[k][:2] for k in places]
-            far = _distance([(path.values, values) for path, values in items])
+            far = distance([(path.values, values) for path, values in items])
             if far < _FAR:
                 continue
             tries = [
-                (_distance([(change(path), values) for path, values in items]), words)
+                (distance([(change(path), values) for path, values in items]), words)
                 for words, change in _CORRECTIONS.items()
                 if quantity in "ST" or words != _OTHER
             ]
             for words, other in others:
                 pairs = [(other[k][0].values, other[k][1]) for k in places]
-                tries.append((_distance(pairs), words))
+                tries.append((distance(pairs), words))
             best, words = min(tries)
             name = f"{quantity} ({QUANTITIES[quantity][0]}) as stated"
             apart = f"{far:.0%} off what the machine file and the controller make"
@@ -444,15 +375,6 @@ _CORRECTIONS: Mapping[str, Callable[[Path], np.ndarray]] = {
         for factor in (1e-6, 1e-3, 1e3, 1e6)
     },
 }
-
-
-def _distance(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> float:
-    """Between measured and modelled (w,) of paths that belong together, 0 to 1: the median line's,
-    in which each path weighs by its size.
-    """
-    apart = np.sum([np.abs(x - v) for x, v in pairs], axis=0)
-    size = np.sum([np.abs(x) + np.abs(v) for x, v in pairs], axis=0)
-    return float(np.median(apart / np.maximum(size, 1e-300)))
 
 
 def _estimate(

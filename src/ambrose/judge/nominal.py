@@ -419,7 +419,7 @@ def check(
     if eigenmodes.poles.real.max() >= 0:
         return Checks(label, False, tuple(checks[:1]), tuple(curves), notes)
 
-    highest = _sensitivity_range(speed, controller.dt)
+    highest = sensitivity_range(speed, controller.dt)
     grid = _grid(eigenmodes.poles, omega, highest, controller.dt)
     tell("frequency response", 0.15)
     evaluator = loop_evaluator(plant, controller)
@@ -470,7 +470,7 @@ def check_sensitivity(plant: Plant, controller: LawLike) -> Checks:
     label = plant.point.label or f"{plant.point.speed / TWO_PI:.4g} Hz"
     if eigenmodes.poles.real.max() >= 0:
         return Checks(label, False, tuple(checks[:1]), ())
-    highest = _sensitivity_range(speed, controller.dt)
+    highest = sensitivity_range(speed, controller.dt)
     grid = _grid(eigenmodes.poles, None, highest, controller.dt)
     evaluator = loop_evaluator(plant, controller)
     within = (float(grid[0]), min(highest, float(grid[-1])))
@@ -493,7 +493,7 @@ def _sensitivities(
     return checks, curves
 
 
-def _sensitivity_range(speed: float, dt: float | None) -> float:
+def sensitivity_range(speed: float, dt: float | None) -> float:
     """Up to where ISO 14839-3 evaluates the sensitivity [rad/s], within what a sampled law has."""
     highest = max(SENSITIVITY_RANGE.limits[0].value, SPEED_RANGE_FACTOR * speed)
     return highest if dt is None else min(highest, np.pi / dt)

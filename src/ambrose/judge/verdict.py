@@ -30,6 +30,7 @@ from ambrose.judge.checks import (
     refuse_motion,
     required_line,
 )
+from ambrose.judge.measured import Responses, check_measured, placed
 from ambrose.judge.plants import (
     Progress,
     full_plants,
@@ -284,6 +285,8 @@ def verify_controller(
     controller: LawLike,
     points: Sequence[str | OperatingPoint] | None = None,
     *,
+    measured: Responses = (),
+    running: LawLike | None = None,
     progress: Progress = lambda stage: None,
     **options: Any,
 ) -> Verification:
@@ -292,6 +295,9 @@ def verify_controller(
 
     machine: or the plants to verify on, one or several. controller: what controls, as a law or as
     anything that ``law.law.law_of`` makes one of. points: operating points or labels (None: all).
+    measured: frequency responses or their files, one for each operating point that they are of,
+    where they decide in place of the model and its tolerances (``judge.measured``); running: the
+    controller that ran then (None: they are of the plant alone).
     options: of ``ambrose.options.Verifying``. The loop is sampled by Tustin's map and late; where
     nobody knows a rate the continuous loop is judged, and ``timing`` says so. Operating points that
     a schedule does not cover are listed as left out. Raises InvalidInput where the controller is
@@ -313,13 +319,22 @@ def verify_controller(
             "machine"
         )
     within, left_out = split_covered(law, plants)
-    timing = timing_of(within[0].machine, law, asked.rate, asked.delay_samples)
-    checks = verify_points(within, law, progress, timing)
+    places = placed(within, measured, running)
+    sampled = next((one.sample_rate_hz for one in places.values()), None)
+    rate = sampled if asked.rate is None else asked.rate
+    timing = timing_of(within[0].machine, law, rate, asked.delay_samples)
+    by_lines = []
+    for k, response in sorted(places.items()):
+        progress(f"judging on the responses of {within[k].point.label}")
+        by_lines.append(check_measured(within[k], response, law, running, timing))
+    modelled = [plant for k, plant in enumerate(within) if k not in places]
+    checks = verify_points(modelled, law, progress, timing)
     boxes: tuple[Checks, ...] = ()
     if asked.tolerances:
         boxes = verify_tolerances(
-            within, law, checks, progress, timing, everywhere=asked.everywhere
+            modelled, law, checks, progress, timing, everywhere=asked.everywhere
         )
+    checks = (*by_lines, *checks)
     ranges: tuple[Checks, ...] = ()
     moving: tuple[Checks, ...] = ()
     if whole is not None:
@@ -331,7 +346,7 @@ def verify_controller(
             for item in proof.prove(whole, law, checks, timing, asked, progress)
         )
     blocks = () if whole is None else verify_synchronous(whole, law, asked, progress)
-    still = tuple(words for plant in within for words in not_varied(plant))
+    still = tuple(words for plant in modelled for words in not_varied(plant))
     return Verification(
         checks,
         boxes,

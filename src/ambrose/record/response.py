@@ -8,8 +8,8 @@ axis, the other loops closed.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,8 @@ QUANTITIES: Mapping[str, tuple[str, str, str]] = {
 SENSOR, CURRENT = "sensor", "current"  # where an analyser injects
 _KINDS = {"m": "length", "A": "current"}
 _FEW = 3  # frequencies at least
+_CYCLE = 2 * np.pi  # [rad]
+_SAME = 1e-6  # S + T - 1 of columns of which one was computed from the other
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,3 +175,83 @@ def unit_factor(quantity: str, unit: str) -> float:
         raise InvalidInput(
             f"{quantity} ({QUANTITIES[quantity][0]}) {error}; correct its unit"
         ) from None
+
+
+def usable(response: Response, axes: Sequence[str], dt: float | None) -> Response:
+    """Without the paths that repeat others; raises InvalidInput for what a loop of these axes,
+    sampled every ``dt`` (None: continuous), does not have.
+    """
+    if dt is not None and response.omega[-1] * dt > np.pi * (1 + 1e-9):
+        raise InvalidInput(
+            f"the highest frequency, {response.omega[-1] / _CYCLE:g} Hz, lies beyond half the "
+            f"controller's {1 / dt:g} Hz; state the frequencies' unit (are they in rad/s, not Hz?),"
+            " or leave lines out"
+        )
+    for path in response.paths:
+        for axis in (path.read, path.injected):
+            if axis not in axes:
+                raise InvalidInput(
+                    f"{path.name}: there is no axis {axis!r}, the machine has {', '.join(axes)}; "
+                    "correct it"
+                )
+        if path.quantity == "L" and path.read != path.injected:
+            raise InvalidInput(f"{path.name}: an open loop is that of one axis; leave it out")
+    if not whole(response, axes) and any(p.read != p.injected for p in response.kind("G")):
+        raise InvalidInput(
+            "the plant is there between different axes, but not between all of them; give all "
+            f"{len(axes) ** 2} paths, or the diagonal alone"
+        )
+    sensitivities = {(p.read, p.injected, p.at): p for p in response.kind("S")}
+
+    def again(path: Path) -> bool:
+        other = sensitivities.get((path.read, path.injected, path.at))
+        if other is None or path.quantity not in {"T", "L"}:
+            return False
+        own = float(path.read == path.injected)
+        sum_ = other.values + path.values - own
+        left = sum_ if path.quantity == "T" else other.values * (1 + path.values) - 1
+        return bool(np.abs(left).max() < _SAME)
+
+    return replace(response, paths=tuple(path for path in response.paths if not again(path)))
+
+
+def whole(response: Response, axes: Sequence[str]) -> bool:
+    """Whether the plant between all axes is there."""
+    return len(response.kind("G")) == len(axes) ** 2 > 1
+
+
+def predicted(
+    path: Path, axes: Sequence[str], Y: np.ndarray, dY: np.ndarray, K: np.ndarray, every: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """A path's values (w,) and derivatives (q, w) from those of Y. every: G of all axes is there,
+    then G is the plant's, else that with the other loops closed.
+    """
+    i, j = axes.index(path.read), axes.index(path.injected)
+    T, dT = (K @ Y, K @ dY) if path.at == CURRENT else (Y @ K, dY @ K)
+    if path.quantity == "motion":
+        return Y[:, i, j], dY[:, :, i, j]
+    if path.quantity == "K":
+        return K[:, i, j], np.zeros_like(dY[:, :, i, j])
+    if path.quantity == "T":
+        return T[:, i, j], dT[:, :, i, j]
+    S, dS = float(i == j) - T[:, i, j], -dT[:, :, i, j]
+    if path.quantity == "S":
+        return S, dS
+    if path.quantity == "L":
+        return 1 / S - 1, -dS / S**2
+    KY, dKY = K @ Y, K @ dY
+    if every:  # dG = (dY + G K dY) (I - K Y)^-1
+        inverse = np.linalg.inv(np.eye(len(axes)) - KY)
+        G = Y @ inverse
+        return G[:, i, j], ((dY + G @ dKY) @ inverse)[:, :, i, j]
+    s, ds = 1 - KY[:, i, i], -dKY[:, :, i, i]
+    return Y[:, i, i] / s, dY[:, :, i, i] / s - Y[:, i, i] * ds / s**2
+
+
+def distance(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> float:
+    """Between measured and modelled (w,) of paths that belong together, 0 to 1: the median line's,
+    in which each path weighs by its size.
+    """
+    apart = np.sum([np.abs(x - v) for x, v in pairs], axis=0)
+    size = np.sum([np.abs(x) + np.abs(v) for x, v in pairs], axis=0)
+    return float(np.median(apart / np.maximum(size, 1e-300)))

@@ -66,6 +66,7 @@ _BY_KIND = {
     "bending modes at high frequency with little damping.",
 }
 
+_MEASURED = "sensitivity.output."  # measured, its ends and the model (judge/measured.py)
 _ALIASES = {"T": "complementary", "KS": "control", "S": "sensitivity"}
 
 
@@ -141,7 +142,19 @@ def page_of_verification(verification: Verification, machine: Machine, **options
     """The page of a Verification; options: as for ``verification_page``. What was shown beyond the
     operating points stands in sections of its own.
     """
-    page = verification_page(machine, verification.points, **options)
+    points, beside = [], []
+    for point in verification.points:
+        own = [curve for curve in point.curves if curve.name.startswith(_MEASURED)]
+        rest = tuple(curve for curve in point.curves if curve not in own)
+        points.append(replace(point, curves=rest))
+        for curve in own:
+            label = (
+                f"{curve.name.removeprefix(_MEASURED)}, {point.label.removesuffix(', measured')}"
+            )
+            beside.append((label, replace(curve, name="sensitivity.output.beside")))
+    if beside:
+        options = {"comparison": (*beside, *options.get("comparison", ())), **options}
+    page = verification_page(machine, points, **options)
     for title, checks in (
         ("Between the operating points", verification.ranges),
         ("Over the tolerances", verification.boxes),

@@ -45,7 +45,7 @@ from ambrose.model.assemble import assemble
 from ambrose.record.files import read_record
 from ambrose.record.record import Record
 from ambrose.record.response import Path as MeasuredPath
-from ambrose.record.response import Response as Measured
+from ambrose.record.response import Response
 
 _UNSURE = 0.3  # 95 % radius over the largest response, from which a line tells little
 _FEW = 0.1  # of the lines that may do so without a word
@@ -53,7 +53,7 @@ _NEAR_SPEED = 1.0  # [Hz]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Response:
+class ComparedResponse:
     """One transfer matrix: measured, and the model's on the same lines (None: nothing to compare
     with); what: "motion", "plant", "sensitivity" (of each axis driven by itself, 1x1); title: in
     words.
@@ -82,7 +82,7 @@ class PointResponse:
 
     point: OperatingPoint
     loop: LoopFrf
-    responses: tuple[Response, ...]
+    responses: tuple[ComparedResponse, ...]
     findings: tuple[Finding, ...]
     notes: tuple[str, ...]
 
@@ -94,7 +94,7 @@ class PointResponse:
             or f"{self.point.speed / TWO_PI:.4g} Hz, {self.point.seal_pressure / 1e5:.4g} bar"
         )
 
-    def of(self, what: str) -> list[Response]:
+    def of(self, what: str) -> list[ComparedResponse]:
         """The responses of one kind."""
         return [item for item in self.responses if item.what == what]
 
@@ -146,7 +146,7 @@ class Responses(Presented):
                                 float(frf.coherence[w, i]),
                             )
 
-    def to_response(self) -> Measured:
+    def to_response(self) -> Response:
         """The motion under excitation currents, as ``identify`` takes it. Raises InvalidInput for
         several operating points, and for other excitations.
         """
@@ -166,7 +166,7 @@ class Responses(Presented):
             if target.startswith("y_")
         ]
         point, rate = self.points[0].point, 1 / frf.dt
-        return Measured(self.machine.name, frf.omega, tuple(paths), point, sample_rate_hz=rate)
+        return Response(self.machine.name, frf.omega, tuple(paths), point, sample_rate_hz=rate)
 
     def to_csv(self) -> str:
         """The rows as text, a line each."""
@@ -319,9 +319,9 @@ class _Model:
         return FrequencyResponse(summed, measured.omega, measured.inputs, measured.outputs)
 
 
-def _responses(machine: Machine, loop: LoopFrf, model: _Model) -> Iterator[Response]:
+def _responses(machine: Machine, loop: LoopFrf, model: _Model) -> Iterator[ComparedResponse]:
     motion = loop.motion
-    yield Response(
+    yield ComparedResponse(
         "motion",
         "Closed loop: excitation to displacement",
         motion,
@@ -339,7 +339,7 @@ def _responses(machine: Machine, loop: LoopFrf, model: _Model) -> Iterator[Respo
             predicted = (
                 None if predicted is None else replace(predicted, values=1 - predicted.values)
             )
-        yield Response(
+        yield ComparedResponse(
             "sensitivity", f"Sensitivity of {axis}, the other loops closed", own, predicted
         )
 
@@ -348,7 +348,7 @@ def _responses(machine: Machine, loop: LoopFrf, model: _Model) -> Iterator[Respo
     if plant is not None and all(
         name.startswith("e_") for group in loop.together for name in group
     ):
-        yield Response(
+        yield ComparedResponse(
             "plant", "Plant: current command to displacement", plant, model.plant_response(plant)
         )
 
@@ -458,7 +458,7 @@ def _notes(loop: LoopFrf, record: Record) -> Iterator[str]:
         )
 
 
-def _plain(item: Response) -> dict[str, Any]:
+def _plain(item: ComparedResponse) -> dict[str, Any]:
     frf, agreement = item.measured, item.agreement
     return {
         "response": item.what,

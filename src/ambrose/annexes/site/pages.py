@@ -15,7 +15,14 @@ import numpy as np
 from ambrose.annexes.site.acceptance import Acceptance, MeasuredLoop
 from ambrose.annexes.site.balancing import Balancing
 from ambrose.annexes.site.bias import BiasCampaign
-from ambrose.annexes.site.frf import PointResponse, Response, Responses, heard, open_loop, summary
+from ambrose.annexes.site.frf import (
+    ComparedResponse,
+    PointResponse,
+    Responses,
+    heard,
+    open_loop,
+    summary,
+)
 from ambrose.annexes.site.retuning import Retuning, Switch
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import FrequencyResponse
@@ -439,7 +446,7 @@ def _sections_of_frf_page(found: Responses, point: PointResponse, where: str) ->
     )
 
 
-def _closed(item: Response, where: str) -> Iterator[Figure]:
+def _closed(item: ComparedResponse, where: str) -> Iterator[Figure]:
     """The answers of each excitation's own axes: all that come near the largest."""
     frf, unit = item.measured, {"e": "m/A", "r": "-", "f": "m/N"}[item.measured.inputs[0][0]]
     pairs = [
@@ -459,7 +466,7 @@ def _answers(frf: Frf, j: int) -> list[int]:
 
 
 def _bode(
-    item: Response,
+    item: ComparedResponse,
     pairs: Sequence[tuple[str, str]],
     title: str,
     caption: str,
