@@ -5,7 +5,6 @@ browsers, a server that is killed. With AMBROSE_PICTURES, a folder, the screens 
 import json
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys

@@ -25,7 +25,6 @@ from ambrose.annexes.rotordynamics.result import Item, Lateral, not_finite
 from ambrose.annexes.rotordynamics.stations import Layout
 from ambrose.core.presentation import with_unit
 from ambrose.law.loop import timing_in_words
-from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
 from ambrose.model.effects.stations import IMPULSE, SURGE, Load
@@ -570,7 +569,6 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
     running = f"running {speeds_in_words(lowest, highest)}, trip {standard.rpm(trip)} rpm"
     controlled = bool(result.machine.bearings)
     facts: tuple[tuple[str, str], ...] = (
-        ("Machine file", f"SHA-256 of its values {machine_hash(result.machine)}"),
         (
             "Controller",
             f"{result.controller}; {timing_in_words(result.timing)}"

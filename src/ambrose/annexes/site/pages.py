@@ -258,7 +258,6 @@ def bias_page(done: BiasCampaign, *, date: str = "") -> Page:
         "K_i and K_s over bias current", "", tuple(_figures(done)), tuple(bias_tables(done))
     )
     facts = (
-        tables.machine_fact(done.given),
         ("Records", ", ".join(done.names)),
         ("Bias currents", ", ".join(f"{row.bias:g} A" for row in done.rows)),
     )
@@ -408,7 +407,6 @@ def frf_page(found: Responses, *, date: str = "") -> Page:
     ]
     methods = ", ".join(dict.fromkeys(IN_WORDS[point.loop.method] for point in found.points))
     facts = (
-        tables.machine_fact(found.machine),
         ("Records", ", ".join(found.records)),
         ("Method", methods),
         ("Loop that was modelled", timing_in_words(str(found.timing))),
@@ -617,7 +615,7 @@ def retuning_page(done: Retuning, *, date: str = "") -> Page:
         done.machine,
         tuple(sections),
         (),
-        (tables.machine_fact(done.given), ("Loop", timing_in_words(str(done.timing)))),
+        (("Loop", timing_in_words(str(done.timing))),),
         date,
         result=result,
     )

@@ -12,7 +12,6 @@ import numpy as np
 
 from ambrose.annexes.sizing.least import Size, Sizing, Trial, drives
 from ambrose.judge.checks import Verification
-from ambrose.machine.file.toml import machine_hash
 from ambrose.report import tables, theme
 from ambrose.report import theme as units
 from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict, numbers
@@ -155,10 +154,7 @@ def sizing_page(sizing: Sizing, verified: Verification | None = None, *, date: s
             else f"fails: {', '.join(verified.facts()['failed'])}"
         )
         verdicts.append(Verdict("Verification of the knee", verified.passed, told))
-    facts = (
-        ("Machine file", machine_hash(sizing.machine)),
-        ("Force over static load", f"{sizing.reserve:g} at least"),
-    )
+    facts = (("Force over static load", f"{sizing.reserve:g} at least"),)
     return Page(
         "Size of the magnetic bearings",
         sizing.machine,
