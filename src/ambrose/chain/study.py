@@ -453,7 +453,7 @@ def write_report(result: Study, path: Path) -> None:
         over_speed=[(full.point.label, curve) for curve in result.speed_curves],
         extra=sections,
         facts=(
-            ("Plant", "full model" + f"; of {NAME} as identified" * (done is not None)),
+            ("Plant", "full model" + f"; as identified for {NAME}" * (done is not None)),
             ("Not checked", " ".join(still([w for p in result.plants for w in not_varied(p)]))),
             *((f"No {name}", why) for name, why in result.failed),
         ),

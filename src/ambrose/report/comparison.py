@@ -16,12 +16,13 @@ from ambrose.identification.result import LoopIdentification
 from ambrose.judge.campbell import critical_speeds
 from ambrose.judge.checks import Checks, Curve, Verification
 from ambrose.judge.loop_response import ALL_AXES
+from ambrose.law.loop import timing_in_words
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
 from ambrose.model.static_load import LEAST_AMPLIFICATION
 from ambrose.report import comparison_tables, tables, theme
 from ambrose.report import theme as units
-from ambrose.report.comparison_tables import NOT_EVALUATED, decision, envelope_section
+from ambrose.report.comparison_tables import NOT_EVALUATED, decision, envelope_section, quoted
 from ambrose.report.figures.bode import Panel, filter_figure, panel_figure
 from ambrose.report.identification import change_figure, parameters_table
 from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, numbers
@@ -497,13 +498,12 @@ def comparison_page(
 def _identity(candidates: Sequence[Candidate]) -> tuple[tuple[str, str], ...]:
     """Every controller with the first digits of its hash, and which loop was checked."""
     names: dict[str, list[str]] = {}
-    for candidate in candidates:
-        names.setdefault(tables.loop_in_words(candidate.timing), []).append(candidate.name)
+    for c in candidates:
+        names.setdefault(timing_in_words(c.timing), []).append(quoted(c.name))
     loops = (
-        f"{timing} ({', '.join(own)})" if len(names) > 1 else timing
-        for timing, own in names.items()
+        f"{', '.join(own)}: {timing}" if len(names) > 1 else timing for timing, own in names.items()
     )
-    digests = (f"{c.name} {c.synthesis.digest[:12]}" for c in candidates)
+    digests = (f"{quoted(c.name)} {c.synthesis.digest[:12]}" for c in candidates)
     return ("Controllers, SHA-256", ", ".join(digests)), ("Loop", "; ".join(loops))
 
 

@@ -26,6 +26,7 @@ from ambrose.rig.trial import Candidate, find
 
 NOT_EVALUATED = "not evaluated"
 _MEETS, _FAILS = (0.6, 0.8), (1.1, 1.5, 2.0)  # upper ends of the shades
+_COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven")
 # panels of speed over pressure are drawn where this share of all pairs are operating points
 _GRID = 0.75
 # The first entry that the check's name begins with says what binds; "robust." and "sampled." are
@@ -121,15 +122,16 @@ def decision(candidates: Sequence[Candidate]) -> Verdict:
         candidate for candidate in candidates if candidate.passed and not _absent(candidate, labels)
     ]
     where, worst = _worst(best)
-    name = _quoted(best.name)
+    name = quoted(best.name)
     if best in good:
-        count = len(best.checks)
-        points = f"all {count} operating points" if count > 1 else "the operating point"
+        number = len(best.checks)
+        points = f"all {number} operating points" if number > 1 else "the operating point"
         ranges = f", on grids between them ({listed([c.label for c in best.ranges])})"
         scope = f"{points}{ranges if best.ranges else ''}"
         scope += " and over the tolerances" if best.boxes else ""
-        others = [_quoted(candidate.name) for candidate in good if candidate is not best]
-        who = f"{len(good)} controllers meet" if others else f"{name} meets"
+        others = [quoted(candidate.name) for candidate in good if candidate is not best]
+        count = _COUNTS[len(good)] if len(good) < len(_COUNTS) else str(len(good))
+        who = f"{count} controllers meet" if others else f"{name} meets"
         which = f": {', '.join([name, *others])}" if others else ""
         margin = (
             f"Tightest requirement{f' of {name}' if others else ''}: {_amount(worst)}, {where}"
@@ -150,7 +152,7 @@ def decision(candidates: Sequence[Candidate]) -> Verdict:
     return Verdict("", False, f"No controller meets every requirement. Nearest: {name}, {why}.")
 
 
-def _quoted(name: str) -> str:
+def quoted(name: str) -> str:
     """A name that would read as two of a list, "mu, polished", in quotes."""
     return f'"{name}"' if "," in name or " and " in name else name
 
@@ -421,7 +423,7 @@ def glance_table(machine: Machine, candidates: Sequence[Candidate], points: Sequ
     rows += _mu_row(candidates)
     rows += [_heading("Controller", candidates), *_controller_rows(candidates)]
     note = (
-        "Shaded: the best of its row. ✓ pass, ✗ fail, no sign: no limit. γ of different methods is "
+        "Shaded: the best of its row. No sign: no limit. γ of different methods is "
         "not comparable: each minimises a norm of its own design problem."
     )
     width = 60 // max(len(candidates), 2)
@@ -496,8 +498,8 @@ def _entry(checks: Checks | None, name: str, known: str | None = None) -> _Entry
     words = [f"zone\u00a0{check.zone}"] if check.zone and math.isfinite(check.value) else []
     if known is not None:
         words += ["with its mean delay"] if WITH_MEAN_DELAY in check.detail else []
-        words += filter(None, [_brief(place(check).replace(known, ""))])
-    return _Entry(check, ", ".join(words))
+        words += [_brief(place(check).replace(known, ""))] if check.passed is False else []
+    return _Entry(check, ", ".join(filter(None, words)))
 
 
 def _worst_of(candidate: Candidate, points: Sequence[str], name: str, better: Better) -> _Entry:
@@ -516,7 +518,7 @@ def _worst_of(candidate: Candidate, points: Sequence[str], name: str, better: Be
         check,
         ", ".join(
             ([f"zone\u00a0{check.zone}"] if check.zone else [])
-            + ([point] if len(points) > 1 else [])
+            + ([point] if len(points) > 1 and check.passed is False else [])
         ),
     )
 
@@ -618,11 +620,8 @@ def _stability_row(candidates: Sequence[Candidate], points: Sequence[str]) -> Ro
             for point in points
             if (checks := candidate.at(point)) is not None and not checks.stable
         ]
-        everywhere = "" if len(candidate.checks) == 1 else "everywhere"
         cells.append(
-            Cell("unstable", "fail", detail=f"at {listed(bad)}")
-            if bad
-            else Cell("stable", "pass", detail=everywhere)
+            Cell("unstable", "fail", detail=f"at {listed(bad)}") if bad else Cell("stable", "pass")
         )
     return ("Stability", "", *cells)
 

@@ -168,7 +168,7 @@ def test_the_decision_names_who_meets_everything_and_what_binds(
         "requirement: output sensitivity 2.3 (limit 3), over the tolerances around 0 at 0."
     )
     both = decision([candidates[1], replace(candidates[0], name="other"), candidates[0]])
-    assert both.text.startswith("2 controllers meet every requirement at ")
+    assert both.text.startswith("Two controllers meet every requirement at ")
     assert ": other, tuned. Tightest requirement of other: " in both.text
     named = decision(
         [

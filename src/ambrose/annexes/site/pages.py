@@ -597,7 +597,7 @@ _AROUND = 0.1  # s about a change of controllers that is drawn
 
 def retuning_page(done: Retuning, *, date: str = "") -> Page:
     """The page of a retuning; date: ISO (today if empty)."""
-    sections = [_steps(done)]
+    sections = []
     if done.identification is not None:
         sections.append(_machine(done))
     sections += _loops_of_page(done)
@@ -618,11 +618,12 @@ def retuning_page(done: Retuning, *, date: str = "") -> Page:
         (("Loop", timing_in_words(str(done.timing))),),
         date,
         result=result,
+        opening=_steps(done),
     )
 
 
 def _steps(done: Retuning) -> Section:
-    marks = {True: "holds", False: "does not hold", None: "for information"}
+    marks = {True: "passed", False: "failed", None: "for information"}
     rows = tuple(
         (
             step.title,
@@ -633,8 +634,7 @@ def _steps(done: Retuning) -> Section:
         for step in done.steps
     )
     columns = ("Step", "Verdict", "What was found", "Files")
-    table = Table("Steps", columns, rows, "", (20, 12, 48, 20))
-    return Section("What was done", "", (), (table,))
+    return Section("", tables=(Table("", columns, rows, "", (20, 12, 48, 20)),))
 
 
 def _machine(done: Retuning) -> Section:

@@ -81,7 +81,7 @@ def sizing_page(sizing: Sizing, verified: Verification | None = None, *, date: s
         < len({t.size.bias for t in sizing.trials if t.synthesis})
     ):
         pictures.append(Figure("Sensitivity and voltage", contour_figure(sizing), _CONTOURS))
-    sections = [Section("Which sizes are enough", _MAP, tuple(pictures), (map_table(sizing),))]
+    sections = [Section("Which sizes are enough", _MAP, tuple(pictures))]
     if knee is not None:
         rows = [_row("taken", knee), *(_row("one size smaller", trial) for trial in sizing.smaller)]
         rows_of_turns = tuple(
@@ -163,6 +163,7 @@ def sizing_page(sizing: Sizing, verified: Verification | None = None, *, date: s
         facts,
         date,
         result=Verdict("Result", knee is not None and (verified is None or verified.passed), words),
+        opening=Section("", tables=(map_table(sizing),)),
     )
 
 
