@@ -484,6 +484,8 @@ def comparison_page(
         words = "The stronger the line, the larger the parameter within its tolerance."
         sections.append(Section("Over the tolerances", words, families))
     sections.append(_controllers(machine, candidates))
+    filters = chain_figures(machine, candidates)
+    sections += [Section("Filters", "", filters, on_paper=False)] if filters else []
     responses = time_figures(machine, candidates, points)
     if responses:
         words = "Linear model, unless the rig is named. The panels of a figure share axes."
@@ -569,11 +571,7 @@ def _controllers(machine: Machine, candidates: Sequence[Candidate]) -> Section:
         if any("mu_mixed" in row for row in candidate.synthesis.history)
     ]
     contents += [replace(table, folded=True) for table in folded]
-    pictures = (
-        *gain_figures(machine, candidates),
-        *chain_figures(machine, candidates),
-    )
-    return Section("Controllers", "", pictures, tuple(contents))
+    return Section("Controllers", "", gain_figures(machine, candidates), tuple(contents))
 
 
 def _history(candidate: Candidate) -> Table:

@@ -326,7 +326,8 @@ def _box_cell(candidate: Candidate, label: str | None) -> Cell:
         else None
     )
     return _shaded(
-        result, f"from {units.number(margin.value)} of them on" if margin is not None else ""
+        result,
+        f"from {units.number(100 * margin.value)}\u00a0% of them" if margin is not None else "",
     )
 
 
@@ -651,9 +652,7 @@ def _mu_row(candidates: Sequence[Candidate]) -> list[Row]:
     """Mixed mu of the weighted loop: as robust verification found it, else as the synthesis did."""
     checks = [find(candidate.robust, "robust.performance") for candidate in candidates]
     uppers = [check.value if check is not None else math.nan for check in checks]
-    details = [
-        ", ".join(place(check).split(",")[:2]) if check is not None else "" for check in checks
-    ]
+    details = [place(check).partition(",")[0] if check is not None else "" for check in checks]
     title = "Peak of mixed µ of the weighted loop, upper bound (below 1: robust performance)"
     if not any(check is not None for check in checks):
         margins = [candidate.synthesis.certificate.margins for candidate in candidates]

@@ -253,6 +253,18 @@ class Page:
     opening: Section | None = None
 
     @property
+    def head(self) -> tuple[tuple[str, str], ...]:
+        """The facts, with machine and its hash before them, date and version after them."""
+        about = self.machine
+        digest = f"SHA-256 {machine_hash(about)}" if isinstance(about, Machine) else ""
+        return (
+            ("Machine", ", ".join(filter(None, (about.name, digest, about.description)))),
+            ("Source", about.source),
+            *self.facts,
+            ("Computed", f"{self.date or calendar.today().isoformat()} with ambrose {__version__}"),
+        )
+
+    @property
     def passed(self) -> bool | None:
         """Whether every verdict is good; None without verdicts."""
         known = [verdict.passed for verdict in self.verdicts if verdict.passed is not None]
@@ -300,21 +312,11 @@ def render(page: Page) -> str:
     )
     sections = [page.opening or Section(""), *page.sections]
     pictures = [figure for section in sections for figure in section.figures]
-    identity = (page.machine.name, _hash_of(page.machine), page.machine.description)
-    facts = (
-        ("Machine", ", ".join(filter(None, identity))),
-        ("Source", page.machine.source),
-        *page.facts,
-        ("Computed", f"{page.date or calendar.today().isoformat()} with ambrose {__version__}"),
-    )
-    words = (
-        f"{name} {text}" for name, text in (*facts, *((v.label, v.text) for v in page.verdicts))
-    )
-    first = sections[0].words + len(" ".join(words).split())
+    head = itertools.chain(*page.head, *((item.label, item.text) for item in page.verdicts))
+    first = sections[0].words + len(" ".join(head).split())
     read = itertools.accumulate((section.words for section in page.sections), initial=first)
     return environment.from_string(template).render(
         page=page,
-        facts=facts,
         # from the top, as many as a reader takes in
         open=sum(words <= _OPEN for words in read) - 1,
         number=itertools.count(1).__next__,
@@ -324,10 +326,6 @@ def render(page: Page) -> str:
         data=[Markup(packed(figure.picture.to_json())) for figure in pictures],
         library=Markup(packed(get_library())) if pictures else "",
     )
-
-
-def _hash_of(machine: Machine | Subject) -> str:
-    return f"SHA-256 {machine_hash(machine)}" if isinstance(machine, Machine) else ""
 
 
 def css_string(text: str) -> str:

@@ -178,12 +178,11 @@ def curve_figures(
 
 def models_section(comparison: Labelled) -> list[Section]:
     """The curves of several models laid over each other; none without any."""
+    if not comparison:
+        return []
     words = "Where a thin line leaves the broad one, the models differ."
-    return (
-        [Section("Model against model", words, curve_figures(comparison, (), overlay=True))]
-        if comparison
-        else []
-    )
+    pictures = curve_figures(comparison, (), overlay=True)
+    return [Section("Model against model", words, pictures, on_paper=False)]
 
 
 def _overview(machine: Machine, verifications: Sequence[Checks]) -> Section:
@@ -205,7 +204,7 @@ def machine_section(machine: Machine, models: Sequence[tuple[str, str]]) -> Sect
         "its sensor on opposite sides of a zero need a phase reversal at that mode."
     )
     drawing = Figure("Rotor and free-free modes", machine_drawing(machine), words)
-    contents = [tables.stations_table(machine)]
+    contents = [replace(tables.stations_table(machine), folded=True)]
     if models:
         contents.append(Table("Models", ("Model", "Size"), tuple(models)))
     contents += [replace(table, folded=True) for table in tables.assumed_table(machine)]

@@ -604,7 +604,7 @@ def deciding_table(result: Lateral) -> Table:
     rows = tuple((item.title, *_summary_row(item)[1:4]) for item in judged[:_DECIDE])
     more = len(judged) - len(rows)
     note = f"{more} more requirements: summary sheet." if more else ""
-    return Table("", ("Nearest to the limit", "Verdict", "Value", "Limit"), rows, note)
+    return Table("", ("Requirement, tightest first", "Verdict", "Value", "Limit"), rows, note)
 
 
 def _share(item: Item) -> float:
