@@ -597,7 +597,7 @@ _AROUND = 0.1  # s about a change of controllers that is drawn
 
 def retuning_page(done: Retuning, *, date: str = "") -> Page:
     """The page of a retuning; date: ISO (today if empty)."""
-    sections = []
+    sections = [_steps(done)]
     if done.identification is not None:
         sections.append(_machine(done))
     sections += _loops_of_page(done)
@@ -608,8 +608,9 @@ def retuning_page(done: Retuning, *, date: str = "") -> Page:
         sections.append(Section("As measured after the change", "", (), checks))
     sections.append(_provenance(done))
     step = done.stopped_at
-    words = "; ".join(item.words for item in done.steps[-1:]) if step is None else step.words
-    result = Verdict(done.outcome.capitalize(), done.passed, units.prose(words))
+    last = done.steps[-1] if step is None and done.steps else step
+    words = done.outcome.capitalize() if last is None else f"{last.title}: {_first(last.words)}"
+    result = Verdict("", done.passed, words)
     return Page(
         "Retuning of the magnetic bearing loop",
         done.machine,
@@ -618,23 +619,30 @@ def retuning_page(done: Retuning, *, date: str = "") -> Page:
         (("Loop", timing_in_words(str(done.timing))),),
         date,
         result=result,
-        opening=_steps(done),
+        opening=_verdicts(done),
     )
+
+
+def _first(words: str) -> str:
+    """The first clause of what a step found."""
+    return units.prose(words.partition("; ")[0])
+
+
+def _verdicts(done: Retuning) -> Section:
+    marks = {True: "passed", False: "failed", None: "for information"}
+    rows = tuple(
+        (step.title, Cell(marks[step.passed], _OUTCOMES[step.passed]), _first(step.words))
+        for step in done.steps
+    )
+    return Section("", tables=(Table("", ("Step", "Verdict", "Result"), rows, "", (34, 24, 42)),))
 
 
 def _steps(done: Retuning) -> Section:
-    marks = {True: "passed", False: "failed", None: "for information"}
     rows = tuple(
-        (
-            step.title,
-            Cell(marks[step.passed], _OUTCOMES[step.passed]),
-            units.prose(step.words),
-            ", ".join(step.files),
-        )
-        for step in done.steps
+        (step.title, units.prose(step.words), ", ".join(step.files)) for step in done.steps
     )
-    columns = ("Step", "Verdict", "What was found", "Files")
-    return Section("", tables=(Table("", columns, rows, "", (20, 12, 48, 20)),))
+    table = Table("In full", ("Step", "Result", "Files"), rows, "", (20, 60, 20), folded=True)
+    return Section("Steps", tables=(table,))
 
 
 def _machine(done: Retuning) -> Section:

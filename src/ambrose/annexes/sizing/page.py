@@ -134,19 +134,15 @@ def sizing_page(sizing: Sizing, verified: Verification | None = None, *, date: s
                 folded=True,
             )
         )
+    count = f"{sum(t.met for t in sizing.trials)} of {len(sizing.trials)} sizes"
     words = (
-        "no size of these meets all"
+        "No size that was tried meets every requirement."
         if knee is None
-        else f"{_of(knee)} meets all with the least copper and iron"
+        else f"{count} meet every requirement. Least copper and iron: {_share(knee.size.area)} × "
+        f"pole area, {_share(knee.size.bias)} × bias current of the machine file."
     )
-    words += "; it is the smallest, or at the lowest bias, that was tried" if sizing.at_edge else ""
-    verdicts = [
-        Verdict(
-            "Sizes",
-            knee is not None,
-            f"{sum(t.met for t in sizing.trials)} of {len(sizing.trials)} meet all",
-        )
-    ]
+    words += " No smaller size or lower bias was tried." if sizing.at_edge else ""
+    verdicts = []
     if verified is not None:
         told = (
             "every check passed"
