@@ -402,22 +402,11 @@ STAGES = (
 )
 
 
-def _loops_judged(candidates: tuple[Candidate, ...]) -> str:
-    """Which loop was judged of which controllers, in words."""
-    names: dict[str, list[str]] = {}
-    for candidate in candidates:
-        names.setdefault(candidate.timing, []).append(candidate.name)
-    return "; ".join(
-        f"of {', '.join(own)} {timing}" if len(names) > 1 else timing
-        for timing, own in names.items()
-    )
-
-
 def write_report(result: Study, path: Path) -> None:
     """report.html: one self-contained page that compares the candidates."""
     from ambrose.report.comparison import commissioning_section, comparison_page, run_up_section
-    from ambrose.report.comparison_tables import grouped
     from ambrose.report.page import write
+    from ambrose.report.tables import still
 
     names, limit = (
         [candidate.name for candidate in result.candidates],
@@ -464,22 +453,8 @@ def write_report(result: Study, path: Path) -> None:
         over_speed=[(full.point.label, curve) for curve in result.speed_curves],
         extra=sections,
         facts=(
-            (
-                "Verified on",
-                f"the full model at {len(result.plants)} operating points, and over all "
-                "tolerances around them",
-            ),
-            *(
-                ("Not varied around", grouped(still))
-                for still in [[w for p in result.plants for w in not_varied(p)]]
-                if still
-            ),
-            ("Loop judged", _loops_judged(result.candidates)),
-            *(
-                (f"{NAME} verified on", "the identified machine, as it runs: sampled, late")
-                for _ in [done]
-                if done
-            ),
+            ("Plant", "full model" + f"; as identified for {NAME}" * (done is not None)),
+            ("Not checked", " ".join(still([w for p in result.plants for w in not_varied(p)]))),
             *((f"No {name}", why) for name, why in result.failed),
         ),
     )

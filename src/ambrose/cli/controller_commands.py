@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path
@@ -505,45 +504,33 @@ def verify(
 
 def _say_what_decides(result: Verification, unproved: Sequence[str]) -> None:
     """The verdict, the table that decides, what fails in full, what was not checked, by kind."""
-    from ambrose.judge.checks import CONTINUOUS
-    from ambrose.law.loop import timing_in_words
-    from ambrose.report.tables import deciding_table, deciding_verdict, failing_table
+    from ambrose.report.tables import (
+        deciding_table,
+        deciding_verdict,
+        failing_table,
+        loop_in_words,
+        unchecked,
+    )
 
     say_verdict(deciding_verdict(result))
     table, failing = deciding_table(result), failing_table(result)
-    for part in (table, failing):
+    marked = ", ".join(filter(None, ("✗ not met" * (not result.passed), table.note)))
+    for part, note in ((table, marked), (failing, "")):
         if part.rows:
-            rows = [tuple(getattr(cell, "text", str(cell)) for cell in row) for row in part.rows]
+            rows = [
+                (first.text, *(c.text + " ✗" * (c.mark == "fail") for c in rest))
+                for first, *rest in part.cells
+            ]
             styles = {"fail": "red", "number": "bold"}
             marks = [styles.get(getattr(row[0], "mark", "fail"), "") for row in part.rows]
             print_table(part.title, part.columns, rows, marks)
-        if part.rows and part.note:
-            say(part.note)
-    if result.left_out:
-        names = "; ".join(result.left_out)
-        say(f"Not covered by the controller's schedule, which does not pass: {names}.")
-    say(
-        "The loop is continuous: no sample rate is known. Use --rate-hz for the sampled loop."
-        if result.timing == CONTINUOUS
-        else f"The loop is {timing_in_words(result.timing)}."
-    )
+        if part.rows and note:
+            say(note)
+    say(f"The loop is {loop_in_words(result.timing)}.")
     for checks in result.points:
         if checks.label.endswith(", measured"):
             say(" ".join((f"{checks.label[0].upper()}{checks.label[1:]}:", *checks.notes)))
-    # by point and reason, as model.uncertainty.not_varied words them; another reason in full
-    left = list(result.not_varied)
-    for ending, why in (("(zero here)", "zero there"), (" only)", "given for other points")):
-        ended = [words for words in left if words.endswith(ending)]
-        left = [words for words in left if not words.endswith(ending)]
-        counts = Counter(words.partition(": ")[0] for words in ended)
-        if counts:
-            where = ", ".join(f"{count} at {label}" for label, count in counts.items())
-            say(f"Parameters not varied ({why}): {where}.")
-    for words in left:
-        say(f"Not varied around {words}.")
-    if result.over_speed:
-        say(f"Above the machine's top speed: {'; '.join(result.over_speed)}.")
-    for sentence in unproved:
+    for sentence in (*unchecked(result), *unproved):
         say(sentence)
     say("Every check: --details, with --all those without a limit. Page: --report page.html.")
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from datetime import date as calendar
 from typing import TypeVar
 
 import numpy as np
@@ -15,14 +14,15 @@ import numpy as np
 from ambrose.core.frequency import frequency_response
 from ambrose.identification.result import LoopIdentification
 from ambrose.judge.campbell import critical_speeds
-from ambrose.judge.checks import Checks, Curve
+from ambrose.judge.checks import Checks, Curve, Verification
 from ambrose.judge.loop_response import ALL_AXES
+from ambrose.law.loop import timing_in_words
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
 from ambrose.model.static_load import LEAST_AMPLIFICATION
 from ambrose.report import comparison_tables, tables, theme
 from ambrose.report import theme as units
-from ambrose.report.comparison_tables import NOT_EVALUATED, decision, envelope_section
+from ambrose.report.comparison_tables import NOT_EVALUATED, decision, envelope_section, quoted
 from ambrose.report.figures.bode import Panel, filter_figure, panel_figure
 from ambrose.report.identification import change_figure, parameters_table
 from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, numbers
@@ -40,7 +40,6 @@ from ambrose.report.verification import (
 )
 from ambrose.rig.trace import Trace
 from ambrose.rig.trial import Candidate, RunUp, Step, find, points_of
-from ambrose.version import __version__
 
 # Several controllers in pictures: one panel per controller with common axes, or all overlaid.
 
@@ -77,10 +76,7 @@ def loop_figures(candidates: Sequence[Candidate], points: Sequence[str]) -> tupl
         curves = [curve for panel in panels for _, curve in panel.curves]
         if curves:
             picture, hidden = panel_figure(wrapped(panels), style, mark_peaks=True)
-            words = (
-                f"{caption(curves[0])} Above each panel: its peaks, as in the tables, point by "
-                "point."
-            )
+            words = f"{caption(curves[0])} Above each panel: the peak at each operating point."
             figures.append(Figure(units.prose(curves[0].title), picture, _with(words, hidden)))
     return tuple(figures)
 
@@ -207,10 +203,8 @@ def gain_figures(machine: Machine, candidates: Sequence[Candidate]) -> tuple[Fig
         height=190,
     )
     words = (
-        "Current per displacement. First row: every axis from its own sensor. Second row: the "
-        "first axis from the sensors of "
-        "the others, which is where the controllers differ: cross coupling works against the "
-        "seal's."
+        "First row: each axis from its own sensor. Second row: the first axis from the other "
+        "sensors; a gain there works against the cross-coupled stiffness of the seal."
     )
     return (Figure("Controller gains", picture, _with(words, hidden)),)
 
@@ -218,9 +212,8 @@ def gain_figures(machine: Machine, candidates: Sequence[Candidate]) -> tuple[Fig
 def chain_figures(machine: Machine, candidates: Sequence[Candidate]) -> tuple[Figure, ...]:
     """The filter banks among the controllers: per channel its sections, and their Bode diagram."""
     words = (
-        "Channels that are the same are drawn once: every section in series with its frequencies "
-        "and dampings (○ zeros, × "
-        "poles), and the response of the whole chain."
+        "Equal channels are drawn once. ○ zeros, × poles, and the response of all sections in "
+        "series."
     )
     banks = [
         (candidate.name, candidate.synthesis.filters)
@@ -465,6 +458,7 @@ def comparison_page(
     """
     points = points_of(machine, candidates)
     opening, outcome = envelope_section(machine, candidates, points), decision(candidates)
+    facts = (*_identity(candidates), *facts, tables.unstated(machine))
     if len(candidates) == 1:
         only = candidates[0]
         report = verification_page(
@@ -483,32 +477,36 @@ def comparison_page(
             date=date,
         )
         verification = _with_boxes(report, machine, only)
-        sections = [*verification.sections, signature_section(machine, candidates, date)]
-        return replace(
-            verification, sections=tuple(sections), signatures=(), result=outcome, opening=opening
-        )
+        return replace(verification, result=outcome, opening=opening, verdicts=())
     sections = [_glance(machine, candidates, points), _loops(candidates, points)]
     families = family_figures(machine, candidates)
     if families:
-        words = (
-            "The uncertain parameters go through their tolerances; the stronger the line, the "
-            "larger the parameter."
-        )
+        words = "The stronger the line, the larger the parameter within its tolerance."
         sections.append(Section("Over the tolerances", words, families))
     sections.append(_controllers(machine, candidates))
+    filters = chain_figures(machine, candidates)
+    sections += [Section("Filters", "", filters, on_paper=False)] if filters else []
     responses = time_figures(machine, candidates, points)
     if responses:
-        words = (
-            "Linear model: valid while currents and displacements stay inside their limits. The "
-            "panels of a figure share axes."
-        )
-        sections.append(Section("Time responses", words, responses))
+        words = "Linear model, unless the rig is named. The panels of a figure share axes."
+        sections.append(Section("Time responses", words, responses, on_paper=False))
     sections += [*_over_speed(over_speed), *extra]
     sections.append(machine_section(machine, models))
     sections += models_section(comparison)
-    sections += [_details(candidates, points), signature_section(machine, candidates, date)]
-    verdicts = comparison_tables.verdicts_of(candidates, points)
-    return Page(title, machine, tuple(sections), verdicts, tuple(facts), date, (), outcome, opening)
+    sections.append(_details(candidates, points))
+    return Page(title, machine, tuple(sections), (), facts, date, result=outcome, opening=opening)
+
+
+def _identity(candidates: Sequence[Candidate]) -> tuple[tuple[str, str], ...]:
+    """Every controller with the first digits of its hash, and which loop was checked."""
+    names: dict[str, list[str]] = {}
+    for c in candidates:
+        names.setdefault(timing_in_words(c.timing), []).append(quoted(c.name))
+    loops = (
+        f"{', '.join(own)}: {timing}" if len(names) > 1 else timing for timing, own in names.items()
+    )
+    digests = (f"{quoted(c.name)} {c.synthesis.digest[:12]}" for c in candidates)
+    return ("Controllers, SHA-256", ", ".join(digests)), ("Loop", "; ".join(loops))
 
 
 def _with_boxes(page: Page, machine: Machine, candidate: Candidate) -> Page:
@@ -526,61 +524,54 @@ def _with_boxes(page: Page, machine: Machine, candidate: Candidate) -> Page:
 
 
 def _glance(machine: Machine, candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
-    """Verdicts and the quantities that decide, over all points and (of several) point by point."""
-    contents = [
-        comparison_tables.verdict_table(candidates, points),
-        comparison_tables.glance_table(machine, candidates, points),
-    ]
+    """The quantities that decide; folded: what is not met, and all of them point by point."""
+    folded = []
+    for candidate in candidates:
+        every = Verification(candidate.checks, candidate.boxes, ranges=candidate.ranges)
+        failing = tables.failing_table(every)
+        if failing.rows:
+            folded.append(replace(failing, title=f"{candidate.name}: requirements not met"))
     if len(points) > 1:
-        contents += comparison_tables.point_tables(candidates, points)
+        folded += comparison_tables.point_tables(candidates, points)
     known = [
         point for label in points for point in machine.operation.envelope if point.label == label
     ]
-    if known:
-        contents.append(tables.operating_points_table(known))
-    return Section("At a glance", "", (), tuple(contents))
+    folded += [tables.operating_points_table(known)] if known else []
+    contents = (replace(table, folded=True) for table in folded)
+    first = comparison_tables.glance_table(machine, candidates, points)
+    return Section("At a glance", "", (), (first, *contents))
 
 
 def _loops(candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
-    words = (
-        "One panel per controller, all with the same axes. Every operating point keeps its colour "
-        "in all figures."
-    )
-    hint = (
-        "Drag to zoom (all panels follow), double-click to see everything, click on a legend entry "
-        "to hide or show its lines."
-    )
+    words = "One panel per controller. An operating point has the same colour in all figures."
+    hint = "Drag to zoom, double-click to zoom out, click on a legend entry to hide its lines."
     return Section("Closed loop, side by side", words, loop_figures(candidates, points), hint=hint)
 
 
 def _controllers(machine: Machine, candidates: Sequence[Candidate]) -> Section:
+    digest = machine_hash(machine)
     rows: list[Row] = []
+    notes: list[Row] = []
     for candidate in candidates:
         synthesis = candidate.synthesis
-        order = Cell(str(synthesis.controller.n_states), "number")
-        rows.append(
-            (
-                candidate.name,
-                synthesis.method,
-                order,
-                synthesis.verdict,
-                synthesis.certificate.plant,
-                candidate.timing,
-                " ".join(synthesis.notes),
-            )
-        )
-    columns = ("Controller", "Method", "Order", "Status", "Certified on", "Loop judged", "Notes")
-    contents = [Table("How they were made", columns, tuple(rows))]
-    contents += [
+        origin = synthesis.provenance.machine_hash
+        what = (synthesis.method, synthesis.verdict, synthesis.certificate.plant)
+        hashed = Cell("", detail=synthesis.digest)
+        rows.append((candidate.name, *what, _critical(candidate.checks), hashed))
+        remarks = [*synthesis.notes]
+        if origin not in {None, digest}:
+            remarks.append(f"Designed for another machine file: {origin}")
+        notes += [(candidate.name, " ".join(remarks))] if remarks else []
+    columns = ("Controller", "Method", "Status", "Certified on", _CRITICAL, "SHA-256")
+    contents = [Table("How they were made", columns, tuple(rows), _PEAKS, (14, 10, 13, 16, 20, 27))]
+    folded = [Table("Notes of the designs", ("Controller", "Notes"), tuple(notes))] if notes else []
+    folded += [
         _history(candidate)
         for candidate in candidates
         if any("mu_mixed" in row for row in candidate.synthesis.history)
     ]
-    pictures = (
-        *gain_figures(machine, candidates),
-        *chain_figures(machine, candidates),
-    )
-    return Section("Controllers", "", pictures, tuple(contents))
+    contents += [replace(table, folded=True) for table in folded]
+    return Section("Controllers", "", gain_figures(machine, candidates), tuple(contents))
 
 
 def _history(candidate: Candidate) -> Table:
@@ -619,55 +610,18 @@ def _details(candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
                 replace(tables.checks_table(checks), title=f"{candidate.name}, {where}: {words}")
             )
     hint = "Click on a line to unfold its table; paper shows those that are open."
-    return Section("All checks in detail", "", (), tuple(folded), folded=True, hint=hint)
+    return Section(
+        "All checks in detail", "", (), tuple(folded), folded=True, hint=hint, on_paper=False
+    )
 
 
 # the rotor assembled at every speed where that was done, else frozen at one
 _CURVES = ("unbalance.assembled_0p", "unbalance")
-_HASHES = (
-    "Hashes are SHA-256: of all that is computed with in the machine file, and the digest in each "
-    "controller's file. "
+_CRITICAL = "Critical speeds (amplification factor)"
+_PEAKS = (
     "Critical speeds: peaks of the unbalance response with an amplification factor of "
-    f"{LEAST_AMPLIFICATION:g} or more (peak "
-    "speed over half-power band, as in API 617), at the operating point where the largest factor "
-    "was found."
+    f"{LEAST_AMPLIFICATION:g} or more (API 617), at the operating point that has the largest."
 )
-
-
-def signature_section(
-    machine: Machine,
-    candidates: Sequence[Candidate],
-    date: str,
-    names: Sequence[str] = ("Prepared", "Checked", "Released"),
-) -> Section:
-    """One table: what was judged, with what and when, and a line for each of ``names``."""
-    digest = machine_hash(machine)
-    rows: list[Row] = [("Machine file", machine.name, _hash(digest), "")]
-    rows += [(candidate.name, *_controller(candidate, digest)) for candidate in candidates]
-    rows += [
-        ("Program", f"ambrose {__version__}", "", ""),
-        ("Date", date or calendar.today().isoformat(), "", ""),
-    ]
-    rows += [(name, Cell("", "sign"), Cell("", "sign"), "name, date, signature") for name in names]
-    columns = ("", "What", "Hash", "Critical speeds (amplification factor)")
-    return Section(
-        "To be signed", _HASHES, (), (Table("", columns, tuple(rows), "", (16, 26, 28, 30)),)
-    )
-
-
-def _controller(candidate: Candidate, digest: str) -> tuple[Cell, Cell, Cell]:
-    synthesis = candidate.synthesis
-    loop = candidate.timing.partition(":")[0]
-    origin = synthesis.provenance.machine_hash
-    other = f"designed for another machine file: {origin}" if origin not in {None, digest} else ""
-    what = Cell(
-        f"method {synthesis.method}, {synthesis.controller.n_states} states, {loop}", detail=other
-    )
-    return what, _hash(synthesis.digest), _critical(candidate.checks)
-
-
-def _hash(digest: str) -> Cell:
-    return Cell("", detail=digest)
 
 
 def _critical(points: Sequence[Checks]) -> Cell:
@@ -690,26 +644,17 @@ def _critical(points: Sequence[Checks]) -> Cell:
 
 
 _ON_THE_RIG = (
-    "The virtual rig stands for the machine on site. A record taken under the reference "
-    "controller identifies the machine "
-    "file's uncertain entries; a robust controller is designed for what was found and for the "
-    "delay of its sampled loop, "
-    "exported as C, and tried on the rig. Its checks above are those of the sampled loop, with "
-    "the computing delay, on the "
-    "identified machine. Full identification: commissioned/identified.html."
+    "The virtual rig takes the place of the machine: a record identifies the uncertain entries of "
+    "the machine file, a robust controller is designed for them, exported and run. Full "
+    "identification: commissioned/identified.html."
 )
 _CHANGE = (
-    "How far the record moved every parameter from the machine file. A magnet's force per current "
-    "and negative stiffness "
-    "belong to its static load: entries stated for an unloaded magnet differ where it carries "
-    "weight."
+    "Bars that leave the dot: the record moved the parameter. Magnets that carry weight differ "
+    "from entries for unloaded ones."
 )
 _CYCLE = (
-    "One run of the deployed controller: from rest in the touchdown bearings it levitates the "
-    "rotor, which runs up to its top "
-    "speed with G2.5 of unbalance and is pressurised; a knock, then a trip: pressure drops and "
-    "the rotor coasts down. Speed "
-    "and pressure change faster than any machine's."
+    "Lift-off, run-up to top speed with G2.5 unbalance, pressure, a knock, trip and coast-down, "
+    "faster than on a machine: the displacement stays within the touchdown gap."
 )
 
 
@@ -732,9 +677,9 @@ def commissioning_section(
         _rig_table(
             reference, commissioned, points, "compiled C code" if from_code else "its law in Python"
         ),
-        Table("The code", ("What", ""), tuple(deployed)),
         _verdict(checked),
-        parameters_table(checked.result),
+        replace(parameters_table(checked.result), folded=True),
+        Table("The code", ("What", ""), tuple(deployed), folded=True),
         *([findings_table(checked.doubts)] if checked.doubts else []),
     )
     shown_of_it = [
@@ -803,10 +748,8 @@ def _outcome(trace: Trace | None) -> tuple[Cell, Cell]:
 
 _SPAN = 0.1  # s, of the first and the last panel
 _RISING = (
-    "The machine runs up while a force or the set point steps every 50 ms. A scheduled controller "
-    "changes with the speed, a "
-    "fixed one was designed for one speed. Speeds are those at the start of a step; settling is "
-    "to 5 % of its own peak."
+    "The machine runs up while a force or the set point steps every 50 ms. Settling is to 5 % of "
+    "the peak of a step."
 )
 
 

@@ -14,7 +14,7 @@ from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.report import theme as units
 from ambrose.report.page import Cell, Row, Section, Table, Verdict
-from ambrose.report.tables import RELATION, around, listed, place, reason, verdict
+from ambrose.report.tables import RELATION, around, listed, place
 from ambrose.rig.trial import Candidate, find
 
 # The decision about several controllers, and the map behind it: per controller and operating point
@@ -25,7 +25,8 @@ from ambrose.rig.trial import Candidate, find
 
 
 NOT_EVALUATED = "not evaluated"
-_MEETS, _FAILS = (0.6, 0.8, 1.0), (1.1, 1.5, 2.0)  # upper ends of the shades
+_MEETS, _FAILS = (0.6, 0.8), (1.1, 1.5, 2.0)  # upper ends of the shades
+_COUNTS = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven")
 # panels of speed over pressure are drawn where this share of all pairs are operating points
 _GRID = 0.75
 # The first entry that the check's name begins with says what binds; "robust." and "sampled." are
@@ -95,11 +96,11 @@ def binding(check: Check) -> str:
 
 
 def ratio_text(ratio: float) -> str:
-    """Two decimals, and as many as it takes to tell it from 1."""
-    if not math.isfinite(ratio):
-        return units.number(ratio)
-    text = f"{ratio:.2f}" if ratio < 10 else units.number(ratio)
-    return units.pair(ratio, 1.0, "")[0] if text == "1.00" and ratio != 1.0 else text
+    """In percent, with as many digits as it takes to tell it from 100."""
+    text = units.number(100 * ratio, 3 if ratio >= 1 else 2)
+    if text == "100" and ratio != 1.0:
+        text = units.pair(100 * ratio, 100.0, "")[0]
+    return units.join(text, "%")
 
 
 def nearest(candidates: Sequence[Candidate]) -> Candidate:
@@ -115,56 +116,43 @@ def _labels(candidates: Sequence[Candidate]) -> tuple[str, ...]:
 
 
 def decision(candidates: Sequence[Candidate]) -> Verdict:
-    """One sentence: which controller meets everything, or which comes nearest, and what binds
-    it.
-    """
+    """Which controllers meet everything, or which comes nearest, then the number that decides."""
     labels, best = _labels(candidates), nearest(candidates)
     good = [
         candidate for candidate in candidates if candidate.passed and not _absent(candidate, labels)
     ]
     where, worst = _worst(best)
+    name = quoted(best.name)
     if best in good:
-        box = ", and over the tolerances around them," if best.boxes else ""
-        box += (
-            f" between them (found on grids of {listed([c.label for c in best.ranges])}),"
-            if best.ranges
-            else ""
-        )
-        count = (
-            f"all {len(best.checks)} operating points"
-            if len(best.checks) > 1
-            else "the operating point"
-        )
+        number = len(best.checks)
+        points = f"all {number} operating points" if number > 1 else "the operating point"
+        ranges = f", on grids between them ({listed([c.label for c in best.ranges])})"
+        scope = f"{points}{ranges if best.ranges else ''}"
+        scope += " and over the tolerances" if best.boxes else ""
+        others = [quoted(candidate.name) for candidate in good if candidate is not best]
+        count = _COUNTS[len(good)] if len(good) < len(_COUNTS) else str(len(good))
+        who = f"{count} controllers meet" if others else f"{name} meets"
+        which = f": {', '.join([name, *others])}" if others else ""
         margin = (
-            f"; nearest to its limit: {_amount(worst)} {where}"
+            f"Tightest requirement{f' of {name}' if others else ''}: {_amount(worst)}, {where}"
             if worst.check is not None
-            else "; no limits were given"
+            else "No limits were given"
         )
-        others = [_quoted(candidate.name) for candidate in good if candidate is not best]
-        also = f"; also by {listed(others)}" if others else ""
-        return Verdict(
-            "",
-            True,
-            f"Every requirement is met at {count}{box} by {_quoted(best.name)}{margin}{also}.",
-        )
+        return Verdict("", True, f"{who} every requirement at {scope}{which}. {margin}.")
     lost = [checks.label for checks in best.checks if not checks.stable]
     if lost:
-        why = f"it is unstable at {listed(lost)}"
+        why = f"unstable at {listed(lost)}"
     elif absent := _absent(best, labels):
-        why = f"it is {NOT_EVALUATED} at {listed(absent)}"
-        why += ", which its schedule does not cover" if set(absent) <= set(best.left_out) else ""
+        why = f"{NOT_EVALUATED} at {listed(absent)}"
+        why += ", outside its schedule" if set(absent) <= set(best.left_out) else ""
     elif not worst.stable:
-        why = f"it becomes unstable {where}"
+        why = f"unstable {where}"
     else:
-        why = f"{_amount(worst)} {where}"
-    return Verdict(
-        "",
-        False,
-        f"No controller meets every requirement; nearest comes {_quoted(best.name)}: {why}.",
-    )
+        why = f"{_amount(worst)}, {where}"
+    return Verdict("", False, f"No controller meets every requirement. Nearest: {name}, {why}.")
 
 
-def _quoted(name: str) -> str:
+def quoted(name: str) -> str:
     """A name that would read as two of a list, "mu, polished", in quotes."""
     return f'"{name}"' if "," in name or " and " in name else name
 
@@ -203,12 +191,12 @@ def _worst(candidate: Candidate) -> tuple[str, Share]:
 
 
 def _amount(result: Share) -> str:
-    """ "output sensitivity 2.82 (limit 3, share 0.94)"."""
+    """ "output sensitivity 2.82 (limit 3)"."""
     check = result.check
     if check is None or check.limit is None:
         return ""
     value, limit = units.pair(check.value, check.limit, check.unit)
-    return f"{binding(check)} {value} (limit {limit}, share {ratio_text(result.ratio)})"
+    return f"{binding(check)} {value} (limit {limit})"
 
 
 def envelope_section(
@@ -232,16 +220,23 @@ def envelope_section(
         if grid
         else [_table(known, candidates, points)]
     )
-    words = (
-        "For every operating point the requirement that comes nearest to its limit, and its share "
-        "of the limit: up to 1 it "
-    )
-    words += "is met."
+    every = [cell.detail for panel in panels for row in panel.cells for cell in row if cell.shade]
+    usual = max(every, key=every.count, default="")
+    words = "Share of the limit that the tightest requirement uses"
+    words += f": {usual}, where no other is named." if usual else "."
     if any(candidate.boxes for candidate in candidates):
-        words += (
-            " Each second row (±): the worst that was found over the tolerances around the point."
-        )
-    return Section("The envelope", words, (), (*panels, _legend()))
+        words += " ± tolerances: the worst found over the tolerances around the point."
+    panels = [named_once(panel, usual) for panel in panels]
+    return Section("The envelope", tables=(*panels[:-1], replace(panels[-1], note=words)))
+
+
+def named_once(table: Table, usual: str) -> Table:
+    """The table without the detail that most of its cells share."""
+    rows = (
+        tuple(replace(cell, detail="") if cell.detail == usual else cell for cell in row)
+        for row in table.cells
+    )
+    return replace(table, rows=tuple(rows))
 
 
 def _is_grid(places: Sequence[OperatingPoint]) -> bool:
@@ -331,7 +326,8 @@ def _box_cell(candidate: Candidate, label: str | None) -> Cell:
         else None
     )
     return _shaded(
-        result, f"from {units.number(margin.value)} of them on" if margin is not None else ""
+        result,
+        f"from {units.number(100 * margin.value)}\u00a0% of them" if margin is not None else "",
     )
 
 
@@ -357,25 +353,8 @@ def shade_of(result: Share) -> str:
     """The shade of a stable loop: "meets-1" to "meets-3" up to the limit, "fails-1" to "fails-4"
     beyond it.
     """
-    ends, name = (_MEETS[:-1], "meets") if result.passed else (_FAILS, "fails")
+    ends, name = (_MEETS, "meets") if result.passed else (_FAILS, "fails")
     return f"{name}-{1 + sum(result.ratio > end for end in ends)}"
-
-
-def _legend() -> Table:
-    """The shades in a row."""
-    meets = [f"up to {end:g}" for end in _MEETS[:-1]] + ["up to 1: met"]
-    fails = [f"up to {end:g}" for end in _FAILS] + ["more"]
-    cells = [Cell(text, shade=f"meets-{i}") for i, text in enumerate(meets, 1)]
-    cells += [Cell(text, shade=f"fails-{i}") for i, text in enumerate(fails, 1)]
-    cells += [Cell("unstable", shade="unstable"), Cell(NOT_EVALUATED, shade="absent")]
-    widths = (16, *[84 // len(cells)] * len(cells))
-    return Table(
-        "", ("",) * (1 + len(cells)), (("Share of the limit", *cells),), "", widths, (), True
-    )
-
-
-def _order(place: OperatingPoint | None) -> tuple[float, float]:
-    return (math.inf, 0.0) if place is None else (place.speed, place.seal_pressure)
 
 
 def _rpm(speed: float) -> str:
@@ -385,7 +364,6 @@ def _rpm(speed: float) -> str:
 Better = Callable[..., Any]  # min or max
 
 _WIDEST = 9  # columns of values side by side in one table
-_MOST_REASONS = 3  # in one cell
 _LONGEST = 80  # characters of where something occurs, in one cell
 # The quantities that decide, and whether less or more of each is better.
 _AT_A_POINT: dict[str, Better] = {
@@ -411,157 +389,9 @@ _IMPLIED = {
 }  # told by rows of their own
 
 
-def verdicts_of(candidates: Sequence[Candidate], points: Sequence[str]) -> tuple[Verdict, ...]:
-    """One line per candidate: where it passes and where not."""
-    return tuple(
-        Verdict(candidate.name, candidate.passed, _line(candidate, points))
-        for candidate in candidates
-    )
-
-
-def _line(candidate: Candidate, points: Sequence[str]) -> str:
-    groups: dict[str, list[str]] = {"unstable at": [], "fails at": [], "passes at": []}
-    for point in points:
-        checks = candidate.at(point)
-        if checks is not None:
-            groups[
-                "unstable at" if not checks.holds else "passes at" if checks.passed else "fails at"
-            ].append(point)
-    words = [f"{what} {listed(labels)}" for what, labels in groups.items() if labels]
-    if not groups["unstable at"] and not groups["fails at"]:
-        words = [f"passes every check at {listed(groups['passes at'])}"]
-    if candidate.left_out:
-        words.append(f"not covered by its schedule: {listed(candidate.left_out)}")
-    if candidate.boxes:
-        failed = [around(box) for box in candidate.boxes if not box.passed]
-        words.append(
-            f"fails over the tolerances {listed(failed)}"
-            if failed
-            else "passes over the tolerances"
-        )
-    if candidate.ranges:
-        failed = [checks.label for checks in candidate.ranges if not checks.passed]
-        words.append(
-            f"fails between the points of {listed(failed)}"
-            if failed
-            else "passes between the points of its ranges"
-        )
-    return "; ".join(words)
-
-
-def grouped(sentences: Sequence[str]) -> str:
-    """ "a: x (why)", "a: y (why)", "b: x (why)", "b: y (why)" as "a and b: x, y (why)"."""
-    what: dict[tuple[str, str], list[str]] = {}
-    for sentence in sentences:
-        label, _, rest = sentence.rpartition(": ")
-        name, _, why = rest.partition(" (")
-        what.setdefault((label, why), []).append(name)
-    where: dict[str, list[str]] = {}
-    for (label, why), names in what.items():
-        where.setdefault(f"{', '.join(names)} ({why}" if why else ", ".join(names), []).append(
-            label
-        )
-    return "; ".join(f"{listed(labels)}: {words}" for words, labels in where.items())
-
-
-def verdict_table(candidates: Sequence[Candidate], points: Sequence[str]) -> Table:
-    """One row per candidate, one column per operating point and one for the tolerances around them:
-    pass or fail, and why.
-    """
-    box = any(candidate.robust is not None for candidate in candidates)
-    rows: list[Row] = []
-    for candidate in candidates:
-        cells = [_verdict_cell(candidate.at(point)) for point in points]
-        cells += [_boxes_cell(candidate.boxes)] if box else []
-        rows.append((candidate.name, *cells))
-    columns = ("Controller", *points, *(["over the tolerances"] if box else []))
-    rest = 86 // (len(columns) - 1)
-    return Table(
-        "Who passes where, and why not",
-        columns,
-        tuple(rows),
-        "",
-        (14, *[rest] * (len(columns) - 1)),
-        (),
-        True,
-    )
-
-
-def _verdict_cell(checks: Checks | None) -> Cell:
-    if checks is None:
-        return Cell("not evaluated", "muted")
-    judged = [check for check in checks.checks if check.passed is not None]
-    failed = [check for check in judged if not check.passed]
-    if not checks.stable:
-        return Cell(
-            "unstable", "fail", detail=", ".join(place(check) or reason(check) for check in failed)
-        )
-    if not failed:
-        return Cell(
-            "passes",
-            "pass",
-            detail=f"all {len(judged)} checks" if judged else "no limits were given",
-        )
-    reasons = "; ".join(reason(check) for check in failed[:_MOST_REASONS])
-    rest = f"; and {len(failed) - _MOST_REASONS} more" if len(failed) > _MOST_REASONS else ""
-    return Cell(
-        reasons + rest, "fail", detail=f"{len(judged) - len(failed)} of {len(judged)} checks pass"
-    )
-
-
-def _boxes_cell(boxes: Sequence[Checks]) -> Cell:
-    """The first box that fails, or the first of all; and how many there are where there are
-    several.
-    """
-    if not boxes:
-        return Cell("not evaluated", "muted")
-    failed = [box for box in boxes if not box.passed]
-    cell = _range_cell((failed or boxes)[0])
-    if len(boxes) == 1:
-        return cell
-    count = f"{len(failed)} of {len(boxes)} boxes fail" if failed else f"all {len(boxes)} boxes"
-    text = f"{around(failed[0])}: {cell.text}" if failed else cell.text
-    return replace(cell, text=text, detail="; ".join(filter(None, (count, cell.detail))))
-
-
-def _range_cell(checks: Checks) -> Cell:
-    names = ("robust.stability.margin", "robust.sensitivity.worst", "robust.stability.proved")
-    margin, worst, proved = (find(checks, name) for name in names)
-    worst = find(checks, "sampled.sensitivity.box") or worst  # of the loop that runs
-    if not checks.stable:
-        return Cell(
-            "unstable",
-            "fail",
-            detail="without any perturbation: " + verdict(checks).text.partition(":")[2].strip(),
-        )
-    if margin is not None and margin.passed is False:
-        return Cell(
-            f"unstable from {units.number(margin.value)} of the tolerances on",
-            "fail",
-            detail=_brief(place(margin)),
-        )
-    failed = [check for check in checks.checks if check.passed is False]
-    if failed:
-        return Cell(
-            "; ".join(reason(check) for check in failed[:_MOST_REASONS]),
-            "fail",
-            detail=_proof(proved),
-        )
-    size = "" if worst is None else f"worst output sensitivity {units.number(worst.value)}"
-    return Cell("passes", "pass", detail="; ".join(part for part in (size, _proof(proved)) if part))
-
-
 def _brief(words: str) -> str:
     """Words that fit a cell; what is longer stands in the detailed tables only."""
     return words if len(words) <= _LONGEST else ""
-
-
-def _proof(check: Check | None) -> str:
-    if check is None:
-        return "stable at every point tried"
-    model = " with its mean delay" if WITH_MEAN_DELAY in check.detail else ""
-    share = "all over them" if check.value >= 1 else f"for {units.number(check.value)} of them"
-    return f"stability of the loop{model} proved {share}"
 
 
 def glance_table(machine: Machine, candidates: Sequence[Candidate], points: Sequence[str]) -> Table:
@@ -586,17 +416,16 @@ def glance_table(machine: Machine, candidates: Sequence[Candidate], points: Sequ
     evaluated = [checks for checks in boxes if checks is not None]
     if evaluated:
         rows.append(_heading(f"Tolerances ({_box(machine)}) {around(evaluated[0])}", candidates))
+        # the heading names the parameter of a single tolerance
+        alone = machine.tolerances[0].parameter + " " if len(machine.tolerances) == 1 else ""
         for known, better in _names(evaluated, _IN_THE_BOX):
-            rows.append(
-                _row(known, [_entry(checks, known.name, detailed=True) for checks in boxes], better)
-            )
+            entries = [_entry(checks, known.name, alone) for checks in boxes]
+            rows.append(_row(known, entries, better))
     rows += _mu_row(candidates)
     rows += [_heading("Controller", candidates), *_controller_rows(candidates)]
     note = (
-        "Shaded: the best of its row; an unstable loop has none. ✓ pass, ✗ fail, no sign: no "
-        "limit. γ is "
-        "the norm that each method minimises on a design problem of its own: not to be compared "
-        "between methods."
+        "Shaded: the best of its row. No sign: no limit. γ of different methods is "
+        "not comparable: each minimises a norm of its own design problem."
     )
     width = 60 // max(len(candidates), 2)
     widths = (100 - 10 - width * len(candidates), 10, *[width] * len(candidates))
@@ -658,7 +487,8 @@ class _Entry:
     words: str = ""
 
 
-def _entry(checks: Checks | None, name: str, *, detailed: bool = False) -> _Entry:
+def _entry(checks: Checks | None, name: str, known: str | None = None) -> _Entry:
+    """The check of that name; known: words of its place that go without saying, None: all."""
     if checks is None:
         return _Entry(None, "not evaluated")
     if not checks.stable:
@@ -667,10 +497,10 @@ def _entry(checks: Checks | None, name: str, *, detailed: bool = False) -> _Entr
     if check is None:
         return _Entry(None, "not evaluated")
     words = [f"zone\u00a0{check.zone}"] if check.zone and math.isfinite(check.value) else []
-    return _Entry(
-        check,
-        ", ".join(words + ([_brief(place(check))] if detailed and _brief(place(check)) else [])),
-    )
+    if known is not None:
+        words += ["with its mean delay"] if WITH_MEAN_DELAY in check.detail else []
+        words += [_brief(place(check).replace(known, ""))] if check.passed is False else []
+    return _Entry(check, ", ".join(filter(None, words)))
 
 
 def _worst_of(candidate: Candidate, points: Sequence[str], name: str, better: Better) -> _Entry:
@@ -689,7 +519,7 @@ def _worst_of(candidate: Candidate, points: Sequence[str], name: str, better: Be
         check,
         ", ".join(
             ([f"zone\u00a0{check.zone}"] if check.zone else [])
-            + ([point] if len(points) > 1 else [])
+            + ([point] if len(points) > 1 and check.passed is False else [])
         ),
     )
 
@@ -791,11 +621,8 @@ def _stability_row(candidates: Sequence[Candidate], points: Sequence[str]) -> Ro
             for point in points
             if (checks := candidate.at(point)) is not None and not checks.stable
         ]
-        everywhere = "" if len(candidate.checks) == 1 else "everywhere"
         cells.append(
-            Cell("unstable", "fail", detail=f"at {listed(bad)}")
-            if bad
-            else Cell("stable", "pass", detail=everywhere)
+            Cell("unstable", "fail", detail=f"at {listed(bad)}") if bad else Cell("stable", "pass")
         )
     return ("Stability", "", *cells)
 
@@ -825,9 +652,7 @@ def _mu_row(candidates: Sequence[Candidate]) -> list[Row]:
     """Mixed mu of the weighted loop: as robust verification found it, else as the synthesis did."""
     checks = [find(candidate.robust, "robust.performance") for candidate in candidates]
     uppers = [check.value if check is not None else math.nan for check in checks]
-    details = [
-        ", ".join(place(check).split(",")[:2]) if check is not None else "" for check in checks
-    ]
+    details = [place(check).partition(",")[0] if check is not None else "" for check in checks]
     title = "Peak of mixed µ of the weighted loop, upper bound (below 1: robust performance)"
     if not any(check is not None for check in checks):
         margins = [candidate.synthesis.certificate.margins for candidate in candidates]

@@ -1301,7 +1301,6 @@ def seal_page(done: SealByFrequency, *, date: str = "") -> Page:
         Verdict("Baseline without pressure", None, base),
     )
     facts = (
-        tables.machine_fact(done.given),
         ("Records", ", ".join(done.records)),
         ("Method", fit.method),
         ("Pressures", ", ".join(units.quantity(float(p), "Pa") for p in fit.pressures)),

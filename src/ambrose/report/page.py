@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from ambrose.core.checks import InvalidInput
+from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
 from ambrose.machine.ordinary_file import write_text
 from ambrose.registry import registered, resolve
@@ -48,6 +49,8 @@ _ONE_PANEL = 330
 _PANEL = 265
 _WIDEST = 900
 _DETAIL = 38  # letters of a detail on one line of paper, about
+_IN_A_PICTURE = 90  # words: ticks, legend and titles, about
+_OPEN = 1400  # words that a page shows at most before a section is unfolded
 MARKS = {
     "": "",
     "sign": "",
@@ -110,7 +113,7 @@ class Table:
 
     widths: of the columns [%], where tables are to line up with each other. groups: (heading,
     number of columns) from left to right, above the columns' own headings. by_cell: a failure tints
-    its cell, not its row.
+    its cell, not its row. folded: closed, under its title, until the reader opens it.
     """
 
     title: str
@@ -120,6 +123,7 @@ class Table:
     widths: tuple[int, ...] = ()
     groups: tuple[tuple[str, int], ...] = ()
     by_cell: bool = False
+    folded: bool = False
 
     def __post_init__(self) -> None:
         if self.groups and sum(span for _, span in self.groups) != len(self.columns):
@@ -171,8 +175,8 @@ class Figure:
 class Section:
     """A heading, some paragraphs, then figures and tables (tables first if ``tables_first``).
 
-    folded: the tables stand closed, each under its title, until the reader opens them; paper shows
-    those that are open. hint: how to use the section on a screen, left out on paper.
+    folded: all its tables are; paper shows those that are open. hint: how to use the section on a
+    screen, left out on paper. on_paper: whether it is printed where it is closed on the screen.
     """
 
     title: str
@@ -182,6 +186,18 @@ class Section:
     tables_first: bool = False
     folded: bool = False
     hint: str = ""
+    on_paper: bool = True
+
+    @property
+    def words(self) -> int:
+        """About how many are read before anything is unfolded."""
+        texts = [self.text, self.hint, *(figure.caption for figure in self.figures)]
+        for table in self.tables:
+            texts.append(table.title)
+            if not (self.folded or table.folded):
+                cells = (f"{cell.text} {cell.detail}" for row in table.cells for cell in row)
+                texts += [table.note, *table.columns, *cells]
+        return len(" ".join(texts).split()) + _IN_A_PICTURE * len(self.figures)
 
     @property
     def paragraphs(self) -> tuple[str, ...]:
@@ -237,6 +253,18 @@ class Page:
     opening: Section | None = None
 
     @property
+    def head(self) -> tuple[tuple[str, str], ...]:
+        """The facts, with machine and its hash before them, date and version after them."""
+        about = self.machine
+        digest = f"SHA-256 {machine_hash(about)}" if isinstance(about, Machine) else ""
+        return (
+            ("Machine", ", ".join(filter(None, (about.name, digest, about.description)))),
+            ("Source", about.source),
+            *self.facts,
+            ("Computed", f"{self.date or calendar.today().isoformat()} with ambrose {__version__}"),
+        )
+
+    @property
     def passed(self) -> bool | None:
         """Whether every verdict is good; None without verdicts."""
         known = [verdict.passed for verdict in self.verdicts if verdict.passed is not None]
@@ -282,11 +310,15 @@ def render(page: Page) -> str:
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    pictures = [figure for section in page.sections for figure in section.figures]
+    sections = [page.opening or Section(""), *page.sections]
+    pictures = [figure for section in sections for figure in section.figures]
+    head = itertools.chain(*page.head, *((item.label, item.text) for item in page.verdicts))
+    first = sections[0].words + len(" ".join(head).split())
+    read = itertools.accumulate((section.words for section in page.sections), initial=first)
     return environment.from_string(template).render(
         page=page,
-        date=page.date or calendar.today().isoformat(),
-        version=__version__,
+        # from the top, as many as a reader takes in
+        open=sum(words <= _OPEN for words in read) - 1,
         number=itertools.count(1).__next__,
         least_width=least_width,
         running_title=Markup(css_string(f"{page.title}: {page.machine.name}")),

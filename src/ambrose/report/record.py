@@ -15,7 +15,7 @@ import numpy as np
 from ambrose.judge.checks import Curve
 from ambrose.machine.machine import AxialMachine, Machine
 from ambrose.record.record import Record
-from ambrose.report import tables, theme
+from ambrose.report import theme
 from ambrose.report import theme as units
 from ambrose.report.figures.curves import drawn, figure
 from ambrose.report.figures.motion import (
@@ -638,7 +638,7 @@ def record_page(
         machine,
         tuple(section for section in sections if section.figures or section.tables),
         verdicts,
-        (tables.machine_fact(machine), *(trace.laws if trace else ()), *_facts(record, speed)),
+        (*(trace.laws if trace else ()), *_facts(record, speed)),
         date,
         result=_result(verdicts),
     )

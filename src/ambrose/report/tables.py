@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,7 +12,6 @@ from ambrose.judge.checks import CONTINUOUS, OVER_TOLERANCES, Check, Checks, Ver
 from ambrose.law.loop import timing_in_words
 from ambrose.machine.attachment import attached
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import chosen
 from ambrose.machine.part import Part
@@ -21,6 +21,26 @@ from ambrose.report.page import Cell, Row, Section, Table, Verdict, numbers
 
 _WIDEST = 6  # operating points side by side in one table
 RELATION = {"<=": "≤", ">=": "≥", "<": "<", ">": ">"}
+# title and detail of a check on pages and screens, where the data keep others
+_PLAIN = {
+    "timing.assumed": (
+        "Growth of the loop sampled at 10 kHz, one sample of delay",
+        "No file states the sample rate; this one is assumed. Set sample_time, or use --rate-hz.",
+    )
+}
+# limits that are checked only where the machine file states them
+_GUARDS = (
+    "compliance_peak",
+    "unbalance_orbit",
+    "settling_time",
+    "gain_margin",
+    "phase_margin",
+    "log_decrement",
+    "damping_above",
+    "max_current",
+    "control_gain",
+    "running_speeds",
+)
 _VIOLATED = {"<=": ">", ">=": "<", "<": "≥", ">": "≤"}
 
 
@@ -162,9 +182,44 @@ def believed(verb: str, findings: Sequence[Any]) -> Verdict:
     return Verdict("Result", not findings, words)
 
 
-def machine_fact(machine: Machine) -> tuple[str, str]:
-    """The machine file in the head of a page: its name and the first digits of its hash."""
-    return "Machine file", f"{machine.name}, {machine_hash(machine)[:12]}"
+def loop_in_words(timing: str) -> str:
+    """Rate and delay of the loop that was checked; of a continuous one how to check another."""
+    words = timing_in_words(timing)
+    return f"{words}. Use --rate-hz for the sampled loop" if timing == CONTINUOUS else words
+
+
+def unchecked(result: Verification) -> list[str]:
+    """What a verification does not cover, a sentence for each kind."""
+    sentences = []
+    if result.left_out:
+        names = "; ".join(result.left_out)
+        sentences.append(f"Not covered by the controller's schedule, which does not pass: {names}.")
+    sentences += still(result.not_varied)
+    if result.over_speed:
+        sentences.append(f"Above the machine's top speed: {'; '.join(result.over_speed)}.")
+    return sentences
+
+
+def still(not_varied: Sequence[str]) -> list[str]:
+    """The tolerances that have no effect, counted by operating point and reason, as
+    ``model.uncertainty.not_varied`` words them; another reason in full.
+    """
+    sentences, left = [], list(not_varied)
+    for ending, why in (("(zero here)", "zero there"), (" only)", "given for other points")):
+        ended = [words for words in left if words.endswith(ending)]
+        left = [words for words in left if not words.endswith(ending)]
+        counts = Counter(words.partition(": ")[0] for words in ended)
+        if counts:
+            where = ", ".join(f"{count} at {label}" for label, count in counts.items())
+            sentences.append(f"Parameters not varied ({why}): {where}.")
+    return [*sentences, *(f"Not varied around {words}." for words in left)]
+
+
+def unstated(machine: Machine) -> tuple[str, str]:
+    """For the head of a page: the limits and guards that the machine file does not state."""
+    names = [name for name in _GUARDS if getattr(machine.requirements, name) is None]
+    names += ["gravity_direction"] if machine.gravity_direction is None else []
+    return "Not in the machine file", ", ".join(names).replace("_", " ")
 
 
 def assumed_table(machine: Machine) -> tuple[Table, ...]:
@@ -253,7 +308,6 @@ def _overview_cell(check: Check | None, *, with_limit: bool) -> Cell:
 # The table that decides: a row for each operating point or range, a column for each requirement.
 
 
-_MARK = {"none": "", "pass": "", "fail": " ✗"}
 # title, and the check that it shows; where several begin so, the one nearest to its limit
 _DECISIVE = (
     ("S, worst axis, zone", "sensitivity.output."),
@@ -284,8 +338,8 @@ def tightest(verification: Verification) -> tuple[str, Check] | None:
 
 def deciding_table(verification: Verification) -> Table:
     """Stability, sensitivity with its zone, unbalance response, current, settling and the worst
-    over the tolerances; the first row is the limits. A cell that fails has a cross, the one that
-    is nearest to its limit a star; columns that would be empty are left out.
+    over the tolerances; the first row is the limits. The cell that is nearest to its limit has a
+    star; columns that would be empty are left out.
     """
     boxes = {box.label: box for box in verification.boxes}
     nearest = tightest(verification)
@@ -309,15 +363,14 @@ def deciding_table(verification: Verification) -> Table:
     for label, checks, found in lines:
         box = boxes.get(box_label(label))
         lost = bool(checks.lost) or not checks.stable
-        stable = Cell("no ✗", "fail") if lost else Cell("yes", "pass")
+        stable = Cell("no", "fail") if lost else Cell("yes", "pass")
         cells = [_decisive_cell(found[k], nearest, with_limit=not common[k]) for k in used]
         if box is not None and box.lost:
-            cells[-1] = Cell("unstable ✗", "fail")
+            cells[-1] = Cell("unstable", "fail")
         rows.append((Cell(label, "none" if checks.passed else "fail"), stable, *cells))
-    note = ""
-    if nearest is not None:
-        note = f"✗ not met, * {'tightest requirement' if nearest[1].passed else _FURTHEST}"
-    return Table("", heads, tuple(rows), note)
+    starred = nearest is not None and any(nearest[1] in found for _, _, found in lines)
+    what = "tightest requirement" if nearest is not None and nearest[1].passed else _FURTHEST
+    return Table("", heads, tuple(rows), f"* {what}" if starred else "")
 
 
 def _decisive(checks: Checks, name: str) -> Check | None:
@@ -349,7 +402,7 @@ def _decisive_cell(
     words = [value, *([check.zone] if check.zone else [])]
     words += [f"({limit})"] if with_limit and limit else []
     star = " *" if nearest is not None and check is nearest[1] else ""
-    return Cell(" ".join(words) + _MARK[kind] + star, kind)
+    return Cell(" ".join(words) + star, kind)
 
 
 def failing_table(verification: Verification) -> Table:
@@ -365,9 +418,11 @@ def failing_table(verification: Verification) -> Table:
     for found in alike.values():
         check = max((check for _, check in found), key=lambda check: check.ratio or check.value)
         at = found[0][0] if len(found) == 1 else f"{len(found)} operating points"
-        title, detail = units.prose(check.title), units.prose(check.detail)
-        rows.append((at, title, *_value_and_limit(check, level=False), detail))
-    return Table("Not met", ("at", "requirement", "value", "limit", "found"), tuple(rows))
+        title, detail = _PLAIN.get(check.name, (check.title, check.detail))
+        where = (units.prose(title), *_value_and_limit(check, level=False), units.prose(detail))
+        rows.append((at, *where))
+    columns = ("at", "requirement", "value", "limit", "found")
+    return Table("Not met", columns, tuple(rows), "", (15, 29, 9, 9, 38))
 
 
 def _short(label: str) -> str:
@@ -412,7 +467,8 @@ def deciding_verdict(verification: Verification) -> str:
         return words
     label, check = nearest
     value, limit = _value_and_limit(check, level=False)
-    title = units.prose(check.title[:1].lower() + check.title[1:])
+    title = _PLAIN.get(check.name, (check.title,))[0]
+    title = units.prose(title[:1].lower() + title[1:])
     which = "Tightest requirement" if check.passed else _FURTHEST.capitalize()
     return f"{words} {which}: {title} {value} (limit {limit.split(' ', 1)[-1]}), {_short(label)}."
 

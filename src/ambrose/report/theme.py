@@ -132,8 +132,16 @@ def axis_name(name: str) -> str:
     return " ".join(_GREEK.get(word, word) for word in words)
 
 
+_ALIKE = re.compile(r"((?:[\w-]+\.)+)\w+ ([+-][\d.]+)(?:, \1\w+ \2(?![\d.]))+")
+
+
 def prose(text: str) -> str:
-    """Text with the axes written as people do: "loop A_zeta" -> "loop A ζ"."""
+    """Text with the axes written as people do, "loop A_zeta" -> "loop A ζ", and what parameters in
+    a row share named once, "seal.a.K +1, seal.a.k +1" -> "seal.a: K, k +1".
+    """
+    for run in _ALIKE.finditer(text):
+        names = re.findall(rf"{re.escape(run[1])}(\w+) ", run[0])
+        text = text.replace(run[0], f"{run[1][:-1]}: {', '.join(names)} {run[2]}")
     return re.sub(r"(?<=[A-Za-z0-9])_(zeta|eta)\b", lambda found: "\u00a0" + _GREEK[found[1]], text)
 
 

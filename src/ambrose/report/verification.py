@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.judge.checks import Checks, Curve, Verification
+from ambrose.judge.checks import Checks, Curve, Motion, Verification, moving_proofs
 from ambrose.judge.exploration import BoxUnbalance, Exploration, PoleMap, PulseFamily
 from ambrose.judge.plants import Stability, describe
 from ambrose.law.loop import DEFAULT, STATE_RATE, timing_in_words
@@ -23,47 +23,29 @@ from ambrose.report.page import Figure, Page, Row, Section, Table, Verdict, numb
 
 # The first entry whose words all occur in the curve's name applies.
 _BY_NAME = {
-    "complementary": "The peak bounds the multiplicative plant error that the loop survives "
-    "(1/peak); it should fall off "
-    "steeply before the first bending mode.",
-    "control": "Current asked for per metre of sensor noise or run-out. The plateau at high "
-    "frequency is the controller's gain "
-    "there: noise times this is current.",
-    "sensitivity input": "Peak against the zone limits, seen at the plant's input. It should not "
-    "exceed the output sensitivity "
-    "by much; if it does, the axes are unequal.",
-    "sensitivity": "The peak is what counts: its inverse is the distance to instability. ISO "
-    "14839-3 judges each axis by the "
-    "zone limits; the maximum singular value covers all axes at once. A narrow spike at a bending "
-    "mode is spillover, a broad "
-    "hump is poor damping of the rigid modes.",
-    "compliance": "Displacement per force on the rotor. The peak shows the softest frequency, the "
-    "left end the static "
-    "stiffness (integral action makes it fall).",
-    "unbalance current": "Control current under the residual unbalance. Look at the largest "
-    "against the amplifier's limit.",
-    "unbalance": "Orbit (zero to peak) under the worst placement of the residual unbalance. Look "
-    "at the passages through the "
-    "critical speeds and at the margin to the limit over the speed range.",
-    "margin loop": "One loop cut open, the others closed. Stability margins are read where the "
-    "curve passes 1.",
-    "campbell": "Damped frequencies over speed; solid forward or planar, dashed backward whirl. "
-    "Crossings with the 1× line are "
-    "the critical speeds.",
-    "current": "Control currents. Look at the largest against the amplifier's limit: beyond it "
-    "the linear result does not "
-    "hold.",
-    "displacement": "Displacements at the sensors. Look at the largest against the touchdown gap "
-    "and at how fast they settle.",
+    "complementary": "The gain falls before the first bending mode; 1/peak is the multiplicative "
+    "model error that the loop tolerates.",
+    "control": "The plateau at high frequency turns sensor noise and run-out into current.",
+    "sensitivity input": "Peaks above the output sensitivity show unequal axes.",
+    "sensitivity": "Peaks above the limit are too close to instability: a narrow spike at a "
+    "bending mode is spillover, a broad hump poor damping of the rigid modes.",
+    "compliance": "The peak is the softest frequency; the left end is the static compliance, zero "
+    "with integral action.",
+    "unbalance current": "Peaks approach the amplifier's limit at critical speeds.",
+    "unbalance": "Peaks are critical speeds; they stay below the limit over the speed range.",
+    "margin loop": "Stability margins are read where the curve passes 1.",
+    "campbell": "Crossings with the 1× line are critical speeds. Solid: forward or planar whirl, "
+    "dashed: backward.",
+    "current": "Above the amplifier's limit the linear result is not valid.",
+    "displacement": "The motion settles and stays within the touchdown gap.",
 }
 
 _BY_KIND = {
     "frequency": "Circles mark the peaks that the legend quotes.",
-    "speed": "Look for crossings and for lines that leave their limits inside the speed range.",
-    "time": "Look at the largest excursion and at how fast it settles.",
-    "poles": "Everything in the shaded half is unstable. Left: rigid-body and controller poles; "
-    "right: all poles, the "
-    "bending modes at high frequency with little damping.",
+    "speed": "Crossings, and lines beyond their limits within the speed range.",
+    "time": "The largest excursion, and how fast it settles.",
+    "poles": "The shaded half is unstable. Left: rigid-body and controller poles; right: all, the "
+    "bending modes far up with little damping.",
 }
 
 _MEASURED = "sensitivity.output."  # measured, its ends and the model (judge/measured.py)
@@ -83,10 +65,7 @@ def caption(curve: Curve) -> str:
 
 
 Labelled = Sequence[tuple[str, Curve]]
-OVER_SPEED = (
-    "The closed loop assembled anew at every speed; where a mode meets the line of the speed, "
-    "unbalance drives it."
-)
+OVER_SPEED = "The closed loop, assembled at every speed."
 
 
 def verification_page(
@@ -112,22 +91,22 @@ def verification_page(
     """
     order = [checks.label for checks in verifications]
     loops = [(checks.label, curve) for checks in verifications for curve in checks.curves]
-    sections = [_overview(machine, verifications), machine_section(machine, models)]
+    sections = [_overview(machine, verifications)]
     if loops:
         text = (
-            "Every operating point keeps its colour in all figures. Drag to zoom, "
-            "double-click to see everything. "
-            "Peaks in the legends are read from the points drawn; the tables hold the refined ones."
+            "An operating point has the same colour in all figures. Peaks in the legends are those "
+            "of the points drawn; the tables have refined ones."
         )
         sections.append(Section("Closed loop", text, curve_figures(loops, order)))
     if over_speed:
         sections.append(Section("Over speed", OVER_SPEED, curve_figures(over_speed, order)))
     if responses:
-        text = "Linear model: valid while currents and displacements stay well inside their limits."
+        text = "Linear model, valid while currents and displacements stay well inside their limits."
         sections.append(Section("Time responses", text, curve_figures(responses, order)))
     sections += models_section(comparison)
+    sections.append(machine_section(machine, models))
     detailed = tuple(tables.checks_table(checks) for checks in verifications if checks.checks)
-    sections.append(Section("All checks in detail", "", (), detailed))
+    sections.append(Section("All checks in detail", "", (), detailed, folded=True))
     return Page(
         title,
         machine,
@@ -139,8 +118,8 @@ def verification_page(
 
 
 def page_of_verification(verification: Verification, machine: Machine, **options: Any) -> Page:
-    """The page of a Verification; options: as for ``verification_page``. What was shown beyond the
-    operating points stands in sections of its own.
+    """The page of a Verification; options: as for ``verification_page``. What was shown between and
+    around the operating points has sections of its own.
     """
     points, beside = [], []
     for point in verification.points:
@@ -161,25 +140,37 @@ def page_of_verification(verification: Verification, machine: Machine, **options
         ("While parameters move", verification.moving),
     ):
         page = with_checks(page, title, checks) if checks else page
-    titles = (check.title for _, checks in verification.labelled for check in checks.failed)
-    failed = "; ".join(units.prose(title) for title in dict.fromkeys(titles))
-    words = "every check passed" if verification.passed else f"fails: {failed or 'stability'}"
+    proofs = () if verification.moving else moving_proofs()
+    sentences = filter(None, (proof.unproved(machine, Motion()) for proof in proofs))
+    unproved = [words.removeprefix("Not checked: ") for words in sentences]
     facts = (
-        tables.machine_fact(machine),
         ("Controller", verification.controller),
-        ("Loop", timing_in_words(verification.timing)),
-        ("Left out", ", ".join(verification.left_out)),
-        ("Not varied", ", ".join(verification.not_varied)),
+        ("Loop", tables.loop_in_words(verification.timing)),
+        (
+            "Not checked",
+            " ".join((*tables.unchecked(verification), tables.capitalised(unproved, end=""))),
+        ),
+        tables.unstated(machine),
     )
-    result = Verdict("Result", verification.passed, words)
-    return replace(page, facts=(*page.facts, *facts), result=result)
+    failing, first = tables.failing_table(verification), page.sections[0]
+    if failing.rows:
+        first = replace(first, tables=(failing, *first.tables))
+    return replace(
+        page,
+        facts=(*page.facts, *facts),
+        sections=(first, *page.sections[1:]),
+        verdicts=(),
+        result=Verdict("", verification.passed, tables.deciding_verdict(verification)),
+        opening=Section("", tables=(tables.deciding_table(verification),)),
+    )
 
 
 def with_checks(
     page: Page, title: str, checks: Sequence[Checks], figures: Sequence[Figure] = ()
 ) -> Page:
     """The page with a section of further checks before its last one, and their verdicts."""
-    section = Section(title, "", tuple(figures), tuple(map(tables.checks_table, checks)))
+    contents = tuple(map(tables.checks_table, checks))
+    section = Section(title, "", tuple(figures), contents, folded=True)
     sections = (*page.sections[:-1], section, page.sections[-1])
     return replace(page, sections=sections, verdicts=(*page.verdicts, *map(tables.verdict, checks)))
 
@@ -200,15 +191,11 @@ def curve_figures(
 
 def models_section(comparison: Labelled) -> list[Section]:
     """The curves of several models laid over each other; none without any."""
-    words = (
-        "The reference is drawn broad and pale, the others on top: where a thin line leaves the "
-        "broad one, they differ."
-    )
-    return (
-        [Section("Model against model", words, curve_figures(comparison, (), overlay=True))]
-        if comparison
-        else []
-    )
+    if not comparison:
+        return []
+    words = "Where a thin line leaves the broad one, the models differ."
+    pictures = curve_figures(comparison, (), overlay=True)
+    return [Section("Model against model", words, pictures, on_paper=False)]
 
 
 def _overview(machine: Machine, verifications: Sequence[Checks]) -> Section:
@@ -217,7 +204,7 @@ def _overview(machine: Machine, verifications: Sequence[Checks]) -> Section:
     overview = [*tables.overview_tables(verifications)]
     if points:
         overview.append(tables.operating_points_table(points))
-    return Section("Overview", "", (), tuple(overview))
+    return Section("Requirements", "", (), tuple(replace(table, folded=True) for table in overview))
 
 
 def machine_section(machine: Machine, models: Sequence[tuple[str, str]]) -> Section:
@@ -225,21 +212,15 @@ def machine_section(machine: Machine, models: Sequence[tuple[str, str]]) -> Sect
     the whole report.
     """
     words = (
-        "To scale: shaft, bores (dashed), laminations that add mass but no stiffness (hatched), "
-        "discs as the cylinder with "
-        "their mass and inertias. Symbols at their true positions: bearings, sensors, seals, "
-        "couplings; dots on the axis "
-        "are finite-element nodes. Beneath: free-free mode shapes at standstill, with what "
-        "bearings (squares), sensors "
-        "(circles) and seals (diamonds) see of them. A bearing and its sensor on opposite sides "
-        "of a zero need a phase "
-        "reversal of the controller at that mode."
+        "To scale; hatched: mass without stiffness, dashed: bores. Below: free-free modes at "
+        "standstill, at bearings (squares), sensors (circles) and seals (diamonds). A bearing and "
+        "its sensor on opposite sides of a zero need a phase reversal at that mode."
     )
     drawing = Figure("Rotor and free-free modes", machine_drawing(machine), words)
-    contents = [tables.stations_table(machine)]
+    contents = [replace(tables.stations_table(machine), folded=True)]
     if models:
         contents.append(Table("Models", ("Model", "Size"), tuple(models)))
-    contents += tables.assumed_table(machine)
+    contents += [replace(table, folded=True) for table in tables.assumed_table(machine)]
     return Section("Machine", "", (drawing,), tuple(contents))
 
 
@@ -394,7 +375,6 @@ def synchronous_page(
     controller: which one was judged.
     """
     facts = (
-        tables.machine_fact(machine),
         ("Controller", controller),
         ("Loop judged", loop),
         ("Left out", "; ".join(left_out)),
@@ -490,7 +470,6 @@ def exploration_page(exploration: Exploration, *, date: str = "") -> Page:
         whole = bool(exploration.pulses.stable.all())
         verdicts.append(Verdict("Members of the tolerances", whole, _members(exploration.pulses)))
     facts = (
-        tables.machine_fact(exploration.machine),
         ("Operating point", exploration.point.label),
         ("Loop", timing_in_words(exploration.timing)),
         ("How", units.prose(tables.capitalised(exploration.notes, ". ", ""))),

@@ -127,42 +127,24 @@ def test_colours_of_points_controllers_and_families_differ() -> None:
     )
 
 
-def test_verdicts_agree_with_the_checks_and_give_reasons(
+def test_what_is_not_met_is_listed_for_each_controller_that_fails(
     report: Page, candidates: list[Candidate]
 ) -> None:
-    found = table(report, "Who passes where, and why not")
-    assert found.columns == ("Controller", *POINTS, "over the tolerances")
-    for candidate, cells in zip(candidates, found.cells, strict=True):
-        assert cells[0].text == candidate.name
-        expected = [
-            checks.passed for point in POINTS if (checks := candidate.at(point)) is not None
-        ]
-        assert candidate.robust is not None
-        assert [cell.mark == "pass" for cell in cells[1:]] == [*expected, candidate.robust.passed]
-    lead = row(found, "PID")
-    assert "maximum singular value 7.1 > 3 at 42.51 Hz" in lead[2].text.replace("\u00a0", " ")
-    assert lead[3].text == "unstable"
-    assert "Hz forward" in lead[3].detail
-    assert lead[4].text.startswith("unstable from 0.427 of the tolerances on")
+    titles = [t.title for t in section(report, "At a glance").tables if "not met" in t.title]
+    assert titles == [f"{c.name}: requirements not met" for c in candidates if not c.passed]
+    rows = [cells for cells in table(report, "PID: requirements not met").cells]
+    words = [" ".join(cell.text for cell in cells).replace("\u00a0", " ") for cells in rows]
+    assert any("maximum singular value 7.1 ≤ 3 at 42.51 Hz" in line for line in words)
+    assert any(line.startswith("twice nominal pressure") and "forward" in line for line in words)
+    assert any("the loop is unstable in the box" in line for line in words)
 
 
 def test_head_says_who_passes_everywhere(
     report: Page, page: str, candidates: list[Candidate]
 ) -> None:
     good = [candidate.name for candidate in candidates if candidate.passed]
-    expected = (
-        "Every requirement is met at all 3"
-        if good
-        else "No controller meets every requirement; nearest comes "
-    )
-    assert expected in page
-    assert [verdict.passed for verdict in report.verdicts] == [
-        candidate.passed for candidate in candidates
-    ]
-    assert report.verdicts[0].text == (
-        "unstable at twice nominal pressure; fails at nominal pressure; passes at zero pressure; "
-        "fails over the tolerances nominal pressure, 0 bending modes"
-    )
+    expected = " every requirement at all 3" if good else "No controller meets every requirement. "
+    assert expected in page and report.verdicts == ()
 
 
 def test_the_deciding_table_holds_the_worst_of_the_points(
@@ -178,7 +160,7 @@ def test_the_deciding_table_holds_the_worst_of_the_points(
             (checks["sensitivity.output.max"].value, checks.label) for checks in candidate.checks
         )
         assert cell.text == units.number(worst[0])
-        assert worst[1] in cell.detail
+        assert (worst[1] in cell.detail) == (worst[0] > 3)
         assert cell.mark == ("pass" if worst[0] <= 3 else "fail")
     decrement = row(found, "Log decrement")
     least = [
@@ -291,13 +273,6 @@ def test_points_that_a_candidate_lacks_are_named_not_guessed(
     rig: Machine, candidates: list[Candidate]
 ) -> None:
     partial = replace(candidates[2], checks=candidates[2].checks[:1], boxes=())
-    found = comparison_tables.verdict_table([candidates[0], partial], POINTS)
-    assert [cell.text for cell in row(found, "mu")[1:]] == [
-        "not evaluated",
-        "passes",
-        "not evaluated",
-        "not evaluated",
-    ]
     tables = comparison_tables.point_tables([candidates[0], partial], POINTS)
     assert "not evaluated" in [cell.text for cell in row(tables[0], "Peak compliance")]
 
@@ -459,7 +434,7 @@ def test_page_is_whole_light_and_escaped(
     rig: Machine, candidates: list[Candidate], tmp_path: Path, page: str
 ) -> None:
     assert len(page) < 12e6
-    assert page.count("<details>") == page.count("</details>") == 3 * 4
+    assert page.count("<details") == page.count("</details>") > 3 * 4
     assert '<th colspan="3" scope="colgroup">zero pressure</th>' in page
     named = [replace(candidates[0], name="<b>&PID"), candidates[1]]
     made = comparison_page(rig, named)
@@ -489,16 +464,14 @@ def test_a_single_candidate_gets_the_verification_report(
     made = comparison_page(rig, candidates[:1], title="One")
     titles = [part.title for part in made.sections]
     assert titles == [
-        "Overview",
-        "Machine",
+        "Requirements",
         "Closed loop",
         "Time responses",
+        "Machine",
         "Over the tolerances",
         "All checks in detail",
-        "To be signed",
     ]
-    assert [verdict.passed for verdict in made.verdicts] == [True, False, False, False]
-    assert made.passed is False
+    assert made.result is not None and made.result.passed is False
     document.render(made)
 
 

@@ -11,7 +11,6 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, names_wrong_types
 from ambrose.core.presentation import Presented
 from ambrose.machine.description import MagneticBearing, Tolerance
-from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine, across_the_shaft
 from ambrose.machine.part import Magnet
 from ambrose.model.magnetics import (
@@ -263,8 +262,7 @@ def magnet_page(result: MagnetSheets, *, date: str = "") -> Page:
         sections.append(
             Section(f"{sheet.bearing}: {sheet.part.kind}", _SHEET, pictures, (table,), True)
         )
-    facts = (("Machine file", machine_hash(result.machine)),)
-    return Page("Magnets", result.machine, tuple(sections), (), facts, date, signatures=())
+    return Page("Magnets", result.machine, tuple(sections), date=date, signatures=())
 
 
 def poles_figure(sheet: MagnetSheet) -> Any:

@@ -25,7 +25,6 @@ from ambrose.annexes.rotordynamics.result import Item, Lateral, not_finite
 from ambrose.annexes.rotordynamics.stations import Layout
 from ambrose.core.presentation import with_unit
 from ambrose.law.loop import timing_in_words
-from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
 from ambrose.model.effects.stations import IMPULSE, SURGE, Load
@@ -415,10 +414,7 @@ _BASIS = (
     "code and tutorials that quote it. Checked - a source at hand quotes the limit. Own - no "
     "clause of the standard, added here. p-p: peak to peak; 0-p: zero to peak."
 )
-_SUMMARY = (
-    "In the order of a data sheet. Rows without a limit are for information; what is not covered "
-    "is listed as such."
-)
+_DECIDE = 7  # rows of the table that decides
 _RESPONSE = (
     "Probe readings, peak to peak, with twice the residual unbalance placed for the mode named, "
     "and their phase lag in the direction of rotation, relative to a keyphasor at the angle of the "
@@ -519,7 +515,7 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
     empty).
     """
     sections = [
-        Section("Summary sheet", _SUMMARY),
+        Section("Summary sheet"),
     ]
     if result.critical_map is not None:
         sections.append(_map_section(result.critical_map, result.speeds))
@@ -570,7 +566,6 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
     running = f"running {speeds_in_words(lowest, highest)}, trip {standard.rpm(trip)} rpm"
     controlled = bool(result.machine.bearings)
     facts: tuple[tuple[str, str], ...] = (
-        ("Machine file", f"SHA-256 of its values {machine_hash(result.machine)}"),
         (
             "Controller",
             f"{result.controller}; {timing_in_words(result.timing)}"
@@ -598,7 +593,26 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
         facts,
         date,
         result=Verdict("Result", result.passed, words),
+        opening=Section("", tables=(deciding_table(result),)),
     )
+
+
+def deciding_table(result: Lateral) -> Table:
+    """The requirements that are not met or have no known value, then those nearest to the limit."""
+    judged = [item for item in result.items if item.passed is not None or item.unjudged]
+    judged.sort(key=lambda item: (item.passed is True, -_share(item)))
+    rows = tuple((item.title, *_summary_row(item)[1:4]) for item in judged[:_DECIDE])
+    more = len(judged) - len(rows)
+    note = f"{more} more requirements: summary sheet." if more else ""
+    return Table("", ("Requirement, tightest first", "Verdict", "Value", "Limit"), rows, note)
+
+
+def _share(item: Item) -> float:
+    """Of the limit that the value takes; 0 where there is none."""
+    if not item.limit or not item.value:
+        return 0.0
+    share = abs(item.value / item.limit)
+    return 1.0 / share if item.relation in {">", ">="} else share
 
 
 def _judged_elsewhere(result: Lateral) -> str:
@@ -695,9 +709,12 @@ def summary_table(result: Lateral, sections: Sequence[Section] = ()) -> Table:
     order.
     """
     places = _places(sections)
-    rows = tuple((*_summary_row(item), _figure_of(item, places)) for item in result.items)
+    covered = [item for item in result.items if not item.name.startswith("not_covered.")]
+    absent = [item.title.lower() for item in result.items if item not in covered]
+    rows = tuple((*_summary_row(item), _figure_of(item, places)) for item in covered)
     columns = ("Item", "Verdict", "Value", "Limit", "Edition and clause", "Basis", "Figure")
-    return Table("Clause by clause", columns, rows, _BASIS)
+    note = f"Not covered: {'; '.join(absent)}. {_BASIS}" if absent else _BASIS
+    return Table("Clause by clause", columns, rows, note)
 
 
 def _places(sections: Sequence[Section]) -> dict[str, Cell]:
@@ -729,7 +746,7 @@ def _figure_of(item: Item, places: Mapping[str, Cell]) -> Cell:
 
 def _summary_row(item: Item) -> Row:
     mark = "none" if item.passed is None else "pass" if item.passed else "fail"
-    word = "" if item.passed is None else "holds" if item.passed else "fails"
+    word = "" if item.passed is None else "met" if item.passed else "not met"
     unit = "" if item.unit == "-" else f" {_whole(item.unit)}"
     value = "-" if item.value is None else f"{item.bound} {_number(item.value)}{unit}".strip()
     limit = "-" if item.limit is None else f"{_relation(item.relation)} {_number(item.limit)}{unit}"
@@ -887,7 +904,7 @@ def clearance_table(result: Lateral) -> Table:
                 f"{standard.rpm(rub.speed)}",
                 f"{100 * rub.share:.3g}",
             ),
-            Cell("holds" if rub.passed else "fails", "pass" if rub.passed else "fail"),
+            Cell("met" if rub.passed else "not met", "pass" if rub.passed else "fail"),
         )
         for rub in result.rubs
     )
@@ -928,7 +945,7 @@ def capacity_table(result: Lateral) -> Table:
                     f"{axis.other[0]:.4g}",
                 ),
                 Cell(f"{axis.margin:.3g}", "number", detail=_whole(axis.worst)),
-                Cell("holds" if axis.margin >= 1 else "fails", _mark(axis.margin >= 1)),
+                Cell("met" if axis.margin >= 1 else "not met", _mark(axis.margin >= 1)),
             )
         )
     columns = (

@@ -214,7 +214,6 @@ def monitor_page(history: SealHistory, machine: Machine, *, date: str = "") -> P
     )
     notes = tables.capitalised((*history.findings, *history.notes), ". ", "") + "."
     facts = (
-        tables.machine_fact(machine),
         ("Seal", history.seal),
         ("Memory", units.quantity(history.window, "s")),
         ("Changes followed", f"up to {history.rate:g} of the reference per second"),

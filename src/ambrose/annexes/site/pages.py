@@ -265,7 +265,6 @@ def bias_page(done: BiasCampaign, *, date: str = "") -> Page:
         "K_i and K_s over bias current", "", tuple(_figures(done)), tuple(bias_tables(done))
     )
     facts = (
-        tables.machine_fact(done.given),
         ("Records", ", ".join(done.names)),
         ("Bias currents", ", ".join(f"{row.bias:g} A" for row in done.rows)),
     )
@@ -415,7 +414,6 @@ def frf_page(found: Responses, *, date: str = "") -> Page:
     ]
     methods = ", ".join(dict.fromkeys(IN_WORDS[point.loop.method] for point in found.points))
     facts = (
-        tables.machine_fact(found.machine),
         ("Records", ", ".join(found.records)),
         ("Method", methods),
         ("Loop that was modelled", timing_in_words(str(found.timing))),
@@ -617,33 +615,41 @@ def retuning_page(done: Retuning, *, date: str = "") -> Page:
         sections.append(Section("As measured after the change", "", (), checks))
     sections.append(_provenance(done))
     step = done.stopped_at
-    words = "; ".join(item.words for item in done.steps[-1:]) if step is None else step.words
-    result = Verdict(done.outcome.capitalize(), done.passed, units.prose(words))
+    last = done.steps[-1] if step is None and done.steps else step
+    words = done.outcome.capitalize() if last is None else f"{last.title}: {_first(last.words)}"
+    result = Verdict("", done.passed, words)
     return Page(
         "Retuning of the magnetic bearing loop",
         done.machine,
         tuple(sections),
         (),
-        (tables.machine_fact(done.given), ("Loop", timing_in_words(str(done.timing)))),
+        (("Loop", timing_in_words(str(done.timing))),),
         date,
         result=result,
+        opening=_verdicts(done),
     )
+
+
+def _first(words: str) -> str:
+    """The first clause of what a step found."""
+    return units.prose(words.partition("; ")[0])
+
+
+def _verdicts(done: Retuning) -> Section:
+    marks = {True: "passed", False: "failed", None: "for information"}
+    rows = tuple(
+        (step.title, Cell(marks[step.passed], _OUTCOMES[step.passed]), _first(step.words))
+        for step in done.steps
+    )
+    return Section("", tables=(Table("", ("Step", "Verdict", "Result"), rows, "", (34, 24, 42)),))
 
 
 def _steps(done: Retuning) -> Section:
-    marks = {True: "holds", False: "does not hold", None: "for information"}
     rows = tuple(
-        (
-            step.title,
-            Cell(marks[step.passed], _OUTCOMES[step.passed]),
-            units.prose(step.words),
-            ", ".join(step.files),
-        )
-        for step in done.steps
+        (step.title, units.prose(step.words), ", ".join(step.files)) for step in done.steps
     )
-    columns = ("Step", "Verdict", "What was found", "Files")
-    table = Table("Steps", columns, rows, "", (20, 12, 48, 20))
-    return Section("What was done", "", (), (table,))
+    table = Table("In full", ("Step", "Result", "Files"), rows, "", (20, 60, 20), folded=True)
+    return Section("Steps", tables=(table,))
 
 
 def _machine(done: Retuning) -> Section:

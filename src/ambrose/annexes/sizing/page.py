@@ -12,7 +12,6 @@ import numpy as np
 
 from ambrose.annexes.sizing.least import Size, Sizing, Trial, drives
 from ambrose.judge.checks import Verification
-from ambrose.machine.file.toml import machine_hash
 from ambrose.report import tables, theme
 from ambrose.report import theme as units
 from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict, numbers
@@ -82,7 +81,7 @@ def sizing_page(sizing: Sizing, verified: Verification | None = None, *, date: s
         < len({t.size.bias for t in sizing.trials if t.synthesis})
     ):
         pictures.append(Figure("Sensitivity and voltage", contour_figure(sizing), _CONTOURS))
-    sections = [Section("Which sizes are enough", _MAP, tuple(pictures), (map_table(sizing),))]
+    sections = [Section("Which sizes are enough", _MAP, tuple(pictures))]
     if knee is not None:
         rows = [_row("taken", knee), *(_row("one size smaller", trial) for trial in sizing.smaller)]
         rows_of_turns = tuple(
@@ -135,19 +134,15 @@ def sizing_page(sizing: Sizing, verified: Verification | None = None, *, date: s
                 folded=True,
             )
         )
+    count = f"{sum(t.met for t in sizing.trials)} of {len(sizing.trials)} sizes"
     words = (
-        "no size of these meets all"
+        "No size that was tried meets every requirement."
         if knee is None
-        else f"{_of(knee)} meets all with the least copper and iron"
+        else f"{count} meet every requirement. Least copper and iron: {_share(knee.size.area)} × "
+        f"pole area, {_share(knee.size.bias)} × bias current of the machine file."
     )
-    words += "; it is the smallest, or at the lowest bias, that was tried" if sizing.at_edge else ""
-    verdicts = [
-        Verdict(
-            "Sizes",
-            knee is not None,
-            f"{sum(t.met for t in sizing.trials)} of {len(sizing.trials)} meet all",
-        )
-    ]
+    words += " No smaller size or lower bias was tried." if sizing.at_edge else ""
+    verdicts = []
     if verified is not None:
         told = (
             "every check passed"
@@ -155,10 +150,7 @@ def sizing_page(sizing: Sizing, verified: Verification | None = None, *, date: s
             else f"fails: {', '.join(verified.facts()['failed'])}"
         )
         verdicts.append(Verdict("Verification of the knee", verified.passed, told))
-    facts = (
-        ("Machine file", machine_hash(sizing.machine)),
-        ("Force over static load", f"{sizing.reserve:g} at least"),
-    )
+    facts = (("Force over static load", f"{sizing.reserve:g} at least"),)
     return Page(
         "Size of the magnetic bearings",
         sizing.machine,
@@ -167,6 +159,7 @@ def sizing_page(sizing: Sizing, verified: Verification | None = None, *, date: s
         facts,
         date,
         result=Verdict("Result", knee is not None and (verified is None or verified.passed), words),
+        opening=Section("", tables=(map_table(sizing),)),
     )
 
 

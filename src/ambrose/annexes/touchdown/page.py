@@ -8,7 +8,6 @@ import numpy as np
 
 from ambrose.annexes.touchdown.analysis import HEADS, WHIP_MODEL, Landing, WhipMap
 from ambrose.annexes.touchdown.campaign import FRICTION, MOUNT, SPEED, WHIRLS, AxialDrop, Campaign
-from ambrose.machine.file.toml import machine_hash
 from ambrose.report import theme
 from ambrose.report.figures.motion import add_controls
 from ambrose.report.figures.rotor_drawing import machine_drawing
@@ -456,7 +455,6 @@ def landing_page(result: Landing, *, date: str = "") -> Page:
         Section("ISO 14839-5", _HEADS, (), (heads_table(),)),
     )
     facts = (
-        ("Machine file", machine_hash(result.machine)),
         ("Operating point", f"{result.point_name}, {result.point.speed * 30 / np.pi:.6g} rpm"),
         ("Rotor", f"{result.fallen.mass:.4g} kg"),
     )
