@@ -8,6 +8,7 @@ docs_build/gallery.py      thumbnails and examples/*.py -> gallery.md, with what
 docs_build/thumbnails.py   the thumbnails, photographed from the pages that commands write
 docs_build/words.py        words by tab, which tests/docs/test_words.py limits
 docs_build/notebooks.py    notebooks/*.ipynb -> a page each, executed
+docs_build/machine_file.py keys, units and limits -> the tables of machine-file.md
 docs_build/reference.py    the front door and the packages -> pages for mkdocstrings
 """
 
@@ -20,7 +21,17 @@ from mkdocs.structure.files import File
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from docs_build import DOCS, ROOT, ahead, command_line, gallery, notebooks, reference
+from docs_build import (
+    DOCS,
+    ROOT,
+    ahead,
+    command_line,
+    gallery,
+    machine_file,
+    notebooks,
+    reference,
+    scenario_file,
+)
 from docs_build.figures import UnknownFigure, render, stored
 
 
@@ -45,6 +56,7 @@ def on_files(files, config):
         **notebooks.pages(),
         **reference.pages(),
         "reference/command-line.md": command_line.page(),
+        "scenario-file.md": scenario_file.page(),
         "contributing.md": from_root("CONTRIBUTING.md"),
         "changelog.md": from_root("CHANGELOG.md"),
     }
@@ -60,6 +72,8 @@ def on_page_markdown(markdown, page, config, files):
         text = render(markdown, stored())
     except UnknownFigure as error:
         raise PluginError(f"{page.file.src_uri}: {error}") from error
+    if page.file.src_uri == "machine-file.md":
+        text = machine_file.render(text)
     return re.sub(r"<!-- (run|files|python):?.*?-->\n?", "", text, flags=re.DOTALL)
 
 

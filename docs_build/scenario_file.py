@@ -1,7 +1,5 @@
 """The page of the scenario file, from the classes that its tables become and what the reader knows
 of their keys.
-
-python -m docs_build.scenario_file      writes docs/scenario-file.md anew
 """
 
 import inspect
@@ -10,7 +8,6 @@ from dataclasses import MISSING, fields
 from ambrose.machine.units import DIMENSIONS
 from ambrose.rig import scenario as reader
 from ambrose.rig.scenario import _QUANTITIES
-from docs_build import DOCS
 
 HEAD = """# Scenario file
 
@@ -34,7 +31,7 @@ from the first axis of its port in the direction of spin: from x at a disc or a 
 
 
 def page():
-    """docs/scenario-file.md."""
+    """scenario-file.md."""
     shares = ", ".join(f"`{name}`" for name in _QUANTITIES)
     parts = [
         HEAD.format(shares=shares),
@@ -77,7 +74,3 @@ def unit(key):
     if key == "amount":
         return "kg m"
     return DIMENSIONS[reader._KINDS[key]].unit + (", list" if key == "frequencies" else "")
-
-
-if __name__ == "__main__":
-    (DOCS / "scenario-file.md").write_text(page(), encoding="utf-8")

@@ -8,7 +8,6 @@ import re
 from pathlib import Path
 
 import pytest
-from docs_build import scenario_file
 
 pytestmark = pytest.mark.source
 
@@ -38,9 +37,3 @@ def test_the_search_of_a_site_opened_from_its_folder_needs_no_network():
     configuration = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
     (shim,) = re.findall(r"polyfills: \[(.*iframe-worker.*?)\]", configuration)
     assert (ROOT / "docs" / shim).exists() and "\n  - offline\n" in configuration
-
-
-def test_the_page_of_the_scenario_file_is_that_of_the_program():
-    assert (ROOT / "docs" / "scenario-file.md").read_text(
-        encoding="utf-8"
-    ) == scenario_file.page(), "run python -m docs_build.scenario_file"
