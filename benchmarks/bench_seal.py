@@ -2,7 +2,7 @@
 operating point.
 
 No peer: ROSS 2.3 sets no condition at the seal's exit, so that its coefficients are another
-problem's (docs/seals.md).
+problem's (docs/theory/gas-seals.md).
 """
 
 from __future__ import annotations

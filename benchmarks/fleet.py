@@ -161,15 +161,11 @@ def description(name):
     machine = amb.load_machine(name)
     rotor = finite_element_rotor(machine)
     bending = free_bending_frequencies(rotor, 1)[0] / (2 * np.pi)
-    bearings = ", ".join(bearing.name for bearing in machine.bearings)
     figures = (
-        f"{mass_properties(rotor).mass:.3g} kg | {bending:.0f} Hz | "
-        f"{machine.operation.speed_range[1] * 30 / np.pi:,.0f} rpm"
+        f"{mass_properties(rotor).mass:.3g} | {bending:.0f} | "
+        f"{machine.operation.speed_range[1] * 30 / np.pi:,.0f}"
     )
-    return (
-        f"| `{name}` | {machine.description} | {figures} | {bearings} | {len(machine.seals)} | "
-        f"{machine.source} |"
-    )
+    return f"| `{name}` | {machine.description} | {figures} | {machine.source} |"
 
 
 def page(names):
@@ -177,14 +173,12 @@ def page(names):
     rows = "\n".join(description(name) for name in names)
     return f"""# Bundled machines
 
-`ambrose machines` lists them. Each is a [machine file](../machine-file.md) to start from,
-`src/ambrose/machines/NAME.toml`, and says under `[machine.assumed]` which of its figures were chosen. Rotors from
-books have magnets of our own sizing in place of the books' bearings. Mass, first free-free bending frequency and top
-speed are computed from the files. What every command gives on every machine: [All commands on all
-machines](../research/machines.md).
+`ambrose machines` lists them. Each is a [machine file](../machine-file.md) to start from, `src/ambrose/machines/NAME.toml`, with
+its chosen figures under `[machine.assumed]`. Rotors from books have our own magnets. [What every command gives on
+them](../research/machines.md).
 
-| machine | what it is | mass | first bending | top speed | bearings | seals | source |
-|---|---|---|---|---|---|---|---|
+| machine | what it is | mass [kg] | free-free bending [Hz] | top speed [rpm] | source |
+|---|---|---|---|---|---|
 {rows}
 """
 

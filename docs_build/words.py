@@ -12,7 +12,7 @@ import re
 from docs_build import DOCS, ROOT
 
 USERS = ("Start", "How to", "Reference", "Theory")
-MOST = 40_000  # words of the user's side
+MOST = 28_000  # words of the user's side
 MOST_HOW_TO = 899  # words of a how-to page
 
 

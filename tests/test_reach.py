@@ -73,7 +73,7 @@ def test_all_run_where_it_cannot_be_told(checkout, tmp_path_factory, monkeypatch
         ("core/test_lft.py", "src/ambrose/core/statespace.py", True),
         ("core/test_lft.py", "src/ambrose/report/page.py", False),
         ("core/test_lft.py", "src/ambrose/registry.py", True),
-        ("core/test_lft.py", "docs/theory.md", False),
+        ("core/test_lft.py", "docs/theory/linear-model.md", False),
         ("core/test_norms.py", "tests/random_systems.py", True),
         ("core/test_lft.py", "tests/random_plants.py", False),
         ("core/test_lft.py", "pyproject.toml", True),
@@ -95,7 +95,7 @@ def test_all_run_where_it_cannot_be_told(checkout, tmp_path_factory, monkeypatch
         ("test_cli.py", "src/ambrose/annexes/touchdown/drop.py", True),
         # a benchmark that a test imports
         ("literature/test_p2.py", "benchmarks/campaign_p2.py", True),
-        ("docs/test_links.py", "docs/theory.md", True),
+        ("docs/test_links.py", "docs/theory/linear-model.md", True),
     ],
 )
 def test_what_a_change_reaches(test, changed, meant):

@@ -26,7 +26,7 @@ from coarse import coarse
 from example_blocks import small_controller
 from needs import needs
 
-GUIDE = Path(__file__).parents[2] / "docs" / "integrator.md"
+GUIDE = Path(__file__).parents[2] / "docs" / "reference" / "c-code.md"
 
 
 @pytest.fixture(scope="module")

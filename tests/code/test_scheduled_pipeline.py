@@ -37,7 +37,7 @@ from ambrose.synthesis.design import design
 from needs import needs
 from schedule_driver import block_of, small_schedule
 
-GUIDE = Path(__file__).parents[2] / "docs" / "integrator.md"
+GUIDE = Path(__file__).parents[2] / "docs" / "reference" / "c-code.md"
 DT = 1e-4
 TOP = 300.0  # rad/s
 compiler = needs("cc")

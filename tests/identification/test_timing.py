@@ -1,4 +1,4 @@
-"""What docs/timing.md says of when y, e, u and i act, on the virtual rig and on the linear loop."""
+"""What docs/theory/timing.md says of when y, e, u and i act, on the virtual rig and on the linear loop."""
 
 from dataclasses import replace
 from functools import cache

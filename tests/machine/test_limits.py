@@ -186,7 +186,7 @@ def test_a_scenario_and_a_column_map_have_the_limits_of_a_file(tmp_path):
             ],
         ),
         (
-            "records.md",
+            "reference/records.md",
             [
                 limits.NUMBERS,
                 limits.FOREIGN_NUMBERS,

@@ -1,4 +1,4 @@
-"""docs/records.md: its column map, CSV example and stream work as printed, and the table of names
+"""docs/reference/records.md: its column map, CSV example and stream work as printed, and the table of names
 is complete.
 """
 
@@ -16,7 +16,7 @@ from ambrose.record.files import read_record
 from ambrose.record.foreign import read_foreign
 from ambrose.record.record import signal_dimension
 
-PAGE = (Path(__file__).parents[2] / "docs" / "records.md").read_text()
+PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "records.md").read_text()
 
 
 def block(kind: str, word: str) -> str:

@@ -1,5 +1,5 @@
 """Reduction: poles, frequency response, subspace, error bound; the figures quoted in
-docs/theory.md.
+docs/theory/linear-model.md.
 """
 
 from dataclasses import replace

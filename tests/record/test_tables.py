@@ -334,4 +334,4 @@ def test_a_file_of_unknown_kind_leads_to_the_page(tmp_path):
         result = CliRunner().invoke(
             main, ["convert", str(tmp_path / name), "-o", str(tmp_path / "a.h5")]
         )
-        assert result.exit_code == 2 and "docs/records.md" in result.output, result.output
+        assert result.exit_code == 2 and "docs/reference/records.md" in result.output, result.output

@@ -77,7 +77,7 @@ def _opened(path: Path) -> Iterator[Callable[[str], Variable]]:
     readers = {".mat": _matlab, ".tdms": _tdms, **dict.fromkeys((".h5", ".hdf5"), _hdf5)}
     readers |= {**dict.fromkeys(_TABLES, text_table), **dict.fromkeys(_UNIVERSAL, universal)}
     if path.suffix.lower() not in readers:
-        page = "see docs/records.md, Files of other programs"
+        page = "see docs/reference/records.md, Files of other programs"
         raise InvalidInput(
             f"{path}: it is not of a kind known here ({', '.join(readers)}); export it as one of "
             f"them, {page}"

@@ -285,7 +285,7 @@ def _by_suffix(path: Path, choices: Mapping[str, Callable[..., Any]]) -> Callabl
         remedy = (
             remedy if foreign else "export it as one of them, or as one that a column map reads"
         )
-        remedy = f"{remedy}: see docs/records.md"
+        remedy = f"{remedy}: see docs/reference/records.md"
         raise invalid(
             f"the suffix of {path.name}",
             repr(path.suffix),

@@ -48,7 +48,7 @@ def _format(value: object) -> str:
     if value != FORMAT:
         remedy = (
             f"a record names its format and version {VERSION}; another program's becomes one by "
-            "ambrose convert FILE --columns MAP -o record.h5 (the map: docs/records.md)"
+            "ambrose convert FILE --columns MAP -o record.h5 (the map: docs/reference/records.md)"
         )
         raise invalid("the format", quoted(value), repr(FORMAT), remedy)
     return FORMAT

@@ -84,7 +84,7 @@ def test_single_precision_stays_within_its_bounds(blocks, method, tmp_path):
     program = driver.compiled(block, "float", tmp_path / "c", "gcc")
     expected = run_block(block, e, valid)
     found, status = driver.replay(program, "float", e, valid)
-    # stated in docs/integrator.md; limiting included
+    # stated in docs/reference/c-code.md; limiting included
     assert np.abs(found - expected.currents).max() <= 1e-4 * CURRENT
     # but for a current that rounding alone puts above its limit or below
     differs = status != expected.status

@@ -107,7 +107,7 @@ def test_single_precision_stays_close(tmp_path):
     found, status = replay(
         driver.compiled(block, "float", tmp_path / "c", "gcc"), "float", e, v, valid
     )
-    # stated in docs/integrator.md; limiting included
+    # stated in docs/reference/c-code.md; limiting included
     assert np.abs(found - expected.currents).max() <= 1e-4 * CURRENT
     assert (status == expected.status).all()
 

@@ -269,7 +269,7 @@ def test_the_code_on_the_rig_is_the_program_on_the_rig(blocks):
 
 @compiler
 def test_the_interrupt_of_the_page_compiles(blocks, tmp_path):
-    page = (Path(__file__).parents[3] / "docs" / "integrator.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "reference" / "c-code.md").read_text()
     for name, text in generate(supervise(*blocks, Limits(0.0, TOP, 0.05 * TOP))).items():
         (tmp_path / name).write_text(text)
     (tmp_path / "main.c").write_text(

@@ -2,8 +2,8 @@
 cost.
 
 The text of the code is in templates/; here are its numbers. The block's arithmetic, signs and
-timing: block/block.py, block/fixed_point.py, block/scheduled.py and docs/integrator.md. The code
-needs no library, no heap and no recursion.
+timing: block/block.py, block/fixed_point.py, block/scheduled.py and docs/reference/c-code.md. The
+code needs no library, no heap and no recursion.
 """
 
 from __future__ import annotations

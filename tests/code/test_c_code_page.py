@@ -1,4 +1,4 @@
-"""docs/integrator.md: its C compiles against the generated header, and its software in the loop
+"""docs/reference/c-code.md: its C compiles against the generated header, and its software in the loop
 runs as printed.
 """
 
@@ -21,7 +21,7 @@ from ambrose.synthesis.design import design
 from ambrose.synthesis.pid import pid_synthesis
 from needs import needs
 
-PAGE = (Path(__file__).parents[2] / "docs" / "integrator.md").read_text()
+PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "c-code.md").read_text()
 FLAGS = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-fsyntax-only"]
 
 
