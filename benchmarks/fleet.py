@@ -191,7 +191,13 @@ machines](../research/machines.md).
 
 def results_page(results):
     """The page of what came out: results {machine: outcomes}."""
-    columns = list(commands("", PAGE))
+    passed = {
+        what: [found[what][1] for found in results.values()]
+        for what in commands("", PAGE)
+        if all(what in found and found[what][0] == 0 for found in results.values())
+    }
+    everywhere = ", ".join(f"{w} ({min(s):.1f} to {max(s):.1f} s)" for w, s in passed.items())
+    columns = [what for what in commands("", PAGE) if what not in passed]
     head = f"| machine | {' | '.join(columns)} |\n|---|{'---|' * len(columns)}"
     table = "\n".join(
         f"| `{name}` | "
@@ -212,6 +218,8 @@ were busy: **+** all checks passed, **1** done, but a check failed, **2** refuse
 `[controller]`, meant to levitate and no more. Those of turboexpander and seal rigs are published continuous ones; at the
 assumed 10 kHz the first does not levitate. `python -m benchmarks.fleet` makes this page; `tests/test_fleet.py` runs the
 same commands.
+
+Passed on all {len(results)} machines: {everywhere}. The others:
 
 {head}
 {table}
