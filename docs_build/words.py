@@ -1,4 +1,4 @@
-"""Words of the pages by tab: the user's side stays small, a how-to page holds one task.
+"""Words of the pages by tab: each side stays small, a how-to page is one task.
 
 python -m docs_build.words      words by tab, and of every page
 
@@ -14,6 +14,7 @@ from docs_build import DOCS, ROOT
 USERS = ("Start", "How to", "Reference", "Theory")
 MOST = 28_000  # words of the user's side
 MOST_HOW_TO = 899  # words of a how-to page
+MOST_RESEARCH = 32_700  # words of the research tab, the pages for who takes part included
 
 
 def tabs():
@@ -41,6 +42,7 @@ def main():
             print(f"    {page:40}{number:6}")
     users = sum(sum(counted[tab].values()) for tab in USERS)
     print(f"the user's side: {users} of at most {MOST}")
+    print(f"research: {sum(counted['Research'].values())} of at most {MOST_RESEARCH}")
 
 
 if __name__ == "__main__":

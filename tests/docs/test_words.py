@@ -2,7 +2,7 @@
 
 import pytest
 from docs_build import DOCS
-from docs_build.words import MOST, MOST_HOW_TO, USERS, tabs, words
+from docs_build.words import MOST, MOST_HOW_TO, MOST_RESEARCH, USERS, tabs, words
 
 pytestmark = pytest.mark.source
 
@@ -23,3 +23,8 @@ def test_a_how_to_page_holds_one_task(page):
 def test_the_users_side_is_small():
     counted = {tab: sum(map(words, tabs()[tab])) for tab in USERS}
     assert sum(counted.values()) <= MOST, counted
+
+
+def test_the_research_tab_is_small():
+    counted = {page: words(page) for page in tabs()["Research"]}
+    assert sum(counted.values()) <= MOST_RESEARCH, counted
