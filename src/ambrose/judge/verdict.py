@@ -105,7 +105,8 @@ def check_range(
         np.unique([*grid, *more])
         for grid, more in zip((extremes.speeds, extremes.pressures), knots, strict=True)
     ]
-    count, abscissa, peak = 0, float(extremes.abscissa.max()), place
+    count, peak = 0, place
+    abscissa = float(extremes.abscissa.max())
     for axis, ends in enumerate((area.seal_pressure, area.speed)):
         for other in sorted({*ends, *knots[1 - axis], peak[1 - axis]}):
             if len(grids[axis]) < 2:

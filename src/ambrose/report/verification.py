@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.judge.checks import Checks, Curve, Motion, Verification, moving_proofs
+from ambrose.judge.checks import Checks, Curve, Verification, moving_proofs
 from ambrose.judge.exploration import BoxUnbalance, Exploration, PoleMap, PulseFamily
 from ambrose.judge.plants import Stability, describe
 from ambrose.law.loop import DEFAULT, STATE_RATE, timing_in_words
 from ambrose.machine.machine import Machine
+from ambrose.options import Verifying
 from ambrose.report import tables, theme
 from ambrose.report import theme as units
 from ambrose.report.figures.curves import drawn, figure
@@ -141,7 +142,7 @@ def page_of_verification(verification: Verification, machine: Machine, **options
     ):
         page = with_checks(page, title, checks) if checks else page
     proofs = () if verification.moving else moving_proofs()
-    sentences = filter(None, (proof.unproved(machine, Motion()) for proof in proofs))
+    sentences = filter(None, (proof.unproved(machine, Verifying()) for proof in proofs))
     unproved = [words.removeprefix("Not checked: ") for words in sentences]
     facts = (
         ("Controller", verification.controller),
