@@ -67,7 +67,8 @@ def judged(discs, template, wanted=None):
     plant_at = discs.plant_at(template, wanted)
     residual = None if wanted is None else unbalance(1.0, 1.0, 1.0)
     plant = plant_at(0.0)
-    checks, _ = nominal._assembled(plant_at, plant, OPEN, plant.machine.requirements, residual)
+    span, asked = plant.machine.operation.speed_range, plant.machine.requirements
+    checks, _ = nominal._assembled(plant_at, plant, OPEN, lambda _: OPEN, span, asked, residual)
     return checks
 
 

@@ -675,7 +675,7 @@ def _crossing(start: _Modes, end: _Modes, highest: float) -> float | None:
     before = a.imag[:, None] - a.imag[None, :]
     after = b.imag[:, None] - b.imag[None, :]
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = before / (before - after)
+        share = np.nan_to_num(before / (before - after), nan=0.0, posinf=0.0, neginf=0.0)
     inside = (share > 0) & (share < 1)
     if not inside.any():
         return None
