@@ -3,12 +3,14 @@ unbalance response of the rotor assembled anew.
 """
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from ambrose.core.statespace import StateSpace, static_gain
 from ambrose.judge import nominal
+from ambrose.law.loop import match_controller
 from ambrose.machine.description import OperatingPoint, Operation, Requirements
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.stations import JournalBearing
@@ -122,9 +124,9 @@ def test_a_speed_at_which_a_table_bends_is_looked_at(rig, rig_controller):
     def plant_at(speed):
         return assemble(machine, replace(still, speed=speed))
 
-    found, _ = nominal._assembled(
-        plant_at, plant_at(0.0), rig_controller, machine.requirements, None
-    )
+    law_at = partial(match_controller, rig_controller)
+    plant, asked = plant_at(0.0), machine.requirements
+    found, _ = nominal._assembled(plant_at, plant, rig_controller, law_at, (0.0, TOP), asked, None)
     assert found[0].passed is False
     assert "largest at 72.42 Hz" in found[0].detail
     assert "unstable from 7" in found[0].detail
