@@ -124,10 +124,8 @@ def test_an_unverified_controller_needs_force(controllers, tmp_path):
         (["--delay-samples", -1], "(--delay-samples) is -1"),
         (["--name", "a b"], "the name of the block is 'a b', but must be a C identifier"),
         (["--error-limit", 0, "--force"], "error_limit is 0.0, but must be positive"),
-        pytest.param(
-            ["--arithmetic", "fixed16", "--force"],
-            "with words of 16 bits",
-        ),
+        # the first that is missed depends on the design's last digits
+        (["--arithmetic", "fixed16", "--force"], "words of 16 bits"),
         (["--machine", "absent.toml"], "absent.toml"),
     ],
 )

@@ -397,7 +397,8 @@ def test_at_a_constant_speed_the_rig_cannot_tell_the_code_from_the_law(running):
     law = virtual_rig.run(machine, block.at(130.0), scenario, point=point)
     names = [f"y_{axis}" for axis in machine.axes]
     size = max(np.ptp(law.record[name]) for name in names)
-    assert max(np.abs(ran.record[name] - law.record[name]).max() for name in names) < 1e-11 * size
+    # both sum the same products in another order, so that currents differ by rounding
+    assert max(np.abs(ran.record[name] - law.record[name]).max() for name in names) < 1e-9 * size
 
 
 def test_the_rig_tells_a_program_the_speed_of_every_sample(running):
