@@ -127,7 +127,9 @@ def names_of(tree):
 
 @cache
 def home_of(public):
-    """Where a public name lives: of a function of ``ambrose.api`` what it imports itself."""
+    """Where a public name lives: of a function of ``ambrose.api`` what it imports itself, or what
+    the functions beside it do that it calls.
+    """
     import ambrose
 
     homes = ambrose._HOME
@@ -135,7 +137,14 @@ def home_of(public):
     if home != "ambrose.api":
         return {home}
     tree = ast.parse((ROOT / "src" / "ambrose" / "api.py").read_text(encoding="utf-8"))
-    body = [n for n in tree.body if not isinstance(n, ast.FunctionDef) or n.name == public]
+    functions = {n.name: n for n in tree.body if isinstance(n, ast.FunctionDef)}
+    called = set()
+    pending = [public]
+    while pending:
+        if (name := pending.pop()) in functions and name not in called:
+            called.add(name)
+            pending += [n.id for n in ast.walk(functions[name]) if isinstance(n, ast.Name)]
+    body = [n for n in tree.body if not isinstance(n, ast.FunctionDef) or n.name in called]
     return names_of(ast.Module(body, []))
 
 

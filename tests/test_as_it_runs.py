@@ -15,7 +15,7 @@ from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, append, series, transfer_function
 from ambrose.judge import nominal
 from ambrose.judge.controller_file import read_controller
-from ambrose.judge.plants import judge_stability
+from ambrose.judge.plants import judge_stability, plants_along_speed
 from ambrose.judge.result import (
     Status,
     Synthesis,
@@ -229,8 +229,18 @@ def test_a_schedule_is_judged_as_it_runs_at_every_speed_of_its_grid():
     assert quick["sampled_spectral_abscissa"] < 0 < slow["sampled_spectral_abscissa"]
     verdict = verify_controller(plant, law, rate=1e3)
     assert not verdict.stable and verdict.timing == "sampled at 1000 Hz, 1 sample late (given)"
-    own = nominal.check(plant, Timing(1e-5).in_loop(K)).to_dict()
-    assert verify_controller(plant, law, rate=1e5).points[0].to_dict() == own
+    speeds = plant.point.speed / 2, plant.point.speed
+    found = verify_controller(plant, law, rate=1e5).points[0]
+    own = nominal.check(
+        plant, Timing(1e-5).in_loop(K), plant_at=plants_along_speed(plant), covered=speeds
+    )
+    # between two equal controllers a third one rounds
+    assert [(check.name, check.passed, check.limit) for check in found.checks] == [
+        (check.name, check.passed, check.limit) for check in own.checks
+    ]
+    assert [check.value for check in found.checks] == pytest.approx(
+        [check.value for check in own.checks], rel=1e-12
+    )
 
 
 def fast(controller, pole):

@@ -149,7 +149,7 @@ def test_a_rotor_at_rest_lies_on_contact_elements_and_mount_in_series():
             {"axial": None, "scenario": "five-axes"},
             r"acts along the shaft; give its axial.*--axial",
         ),
-        ({"linear": True}, "linear beside an axial controller"),
+        ({"linear": True}, "axial is given, but must be left out with linear"),
         ({"rate": 1e4, "axial": "late"}, "one processor runs both"),
     ],
 )
