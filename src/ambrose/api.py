@@ -182,6 +182,7 @@ def verify(
     controller: Any,
     *,
     points: Sequence[OperatingPoint | str] | OperatingPoint | str | None = None,
+    axial: Any = None,
     tolerances: bool = True,
     everywhere: bool = False,
     measured: Any = (),
@@ -197,6 +198,7 @@ def verify(
     around each.
 
     points: of the machine, one or several (None: all, the one that designs are made for first).
+    axial: the controller of the axis along the shaft, which is judged as well.
     everywhere: bounds and proofs over the tolerances around every point, not the first alone.
     measured: frequency responses or their files, which decide at their operating points; running:
     the controller that ran then (None: they are of the plant alone).
@@ -218,6 +220,7 @@ def verify(
         place,
         controller_of(controller),
         several,
+        axial=None if axial is None else controller_of(axial),
         tolerances=tolerances,
         everywhere=everywhere,
         measured=measured,

@@ -310,14 +310,18 @@ class AsItRuns(Options):
 class Verifying(AsItRuns):
     """How a controller is judged.
 
-    tolerances: the tolerance boxes, too; everywhere: bounds and proofs over them around every
-    operating point, not the first alone. How fast the machine may move between its points:
+    axial: the controller of the axis along the shaft, all axes are judged then. tolerances: the
+    tolerance boxes, too; everywhere: bounds and proofs over them around every operating point, not
+    the first alone. How fast the machine may move between its points:
     pressure_rate [Pa/s], the fastest change of the seal pressure (None: the machine file's; without
     one nothing is proved for a pressure that changes); pressure_error [Pa], how far off what a
     controller scheduled over the pressure is told may be; speed_rate [rad/s^2], the fastest run-up
     (None: nothing is proved for a speed that changes).
     """
 
+    axial: LawLike | None = option(
+        None, "The controller of machine.toml#axial: the thrust axis is judged as well."
+    )
     tolerances: bool = option(True, "Over the tolerances as well.", flag=None)
     everywhere: bool = option(
         False,

@@ -307,7 +307,7 @@ def load(machine: str, *, magnets: bool = True) -> Machine:
     from ambrose.machine.machine import require_magnets
 
     found = load_machine(machine)
-    if found.has_axis and not found.name.endswith(AXIAL):
+    if found.has_axis:
         say(f"note: the radial axes; along the shaft: {machine}{AXIAL}", err=True)
     if magnets:
         require_magnets(found)

@@ -156,7 +156,7 @@ def study(
     """
     with claimed(make_folder(directory), "study"):
         result = _study(machine, Path(directory), progress)
-        if not machine.has_axis or isinstance(machine, AxialMachine):
+        if not machine.has_axis:
             return result
         progress("the axis along the shaft")
         beside = make_folder(Path(directory) / "axial")

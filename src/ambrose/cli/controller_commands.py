@@ -378,7 +378,7 @@ def trade_off(
 
 
 _GROUPS = {
-    "": ("path", "everywhere", "report", "everything"),
+    "": ("path", "axial", "everywhere", "report", "everything"),
     "On measured responses": ("measured", "running"),
     "The loop as it runs": ("rate", "delay_samples"),
     "Proofs while the machine moves": ("pressure_rate", "pressure_error", "speed_rate"),
@@ -443,9 +443,11 @@ def verify(
     from ambrose.core.checks import invalid
     from ambrose.judge.checks import moving_proofs
 
+    options = asked_for(Verifying, asked)
     description = load(machine)
     controller = load_controller(path, description)
-    options = asked_for(Verifying, asked)
+    if options.axial is not None:
+        options = replace(options, axial=load_controller(options.axial, description.axial))
     fastest = options.pressure_rate or description.operation.pressure_rate
     if options.pressure_error and fastest is None:
         raise invalid(

@@ -358,7 +358,8 @@ class Verification(Presented):
     that leaves a point out is not passed. timing: what loop was judged, "continuous" or "sampled at
     10000 Hz, ...". not_varied: tolerances of the machine file that do not hold around a point, with
     the reason (the file's ``around``, or a nominal value of zero). over_speed: the points beyond
-    the machine's own top speed, in words. controller: which one, with its digest.
+    the machine's own top speed, in words. controller: which one, with its digest. not_judged: the
+    axes of the machine that nothing here is about.
     """
 
     _DATA: ClassVar = (
@@ -373,6 +374,7 @@ class Verification(Presented):
         "not_varied",
         "over_speed",
         "controller",
+        "not_judged",
     )
 
     points: tuple[Checks, ...]
@@ -385,6 +387,7 @@ class Verification(Presented):
     synchronous: tuple[Checks, ...] = ()
     over_speed: tuple[str, ...] = ()
     controller: str = ""
+    not_judged: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_types(type(self).__post_init__, (self,), {})
@@ -437,6 +440,32 @@ class Verification(Presented):
                     detail = f"{label}: {check.detail}" if check.detail else label
                     worst[check.name] = badness, replace(check, detail=detail)
         return {name: check for name, (_, check) in worst.items()}
+
+    def with_thrust(self, thrust: Verification) -> Verification:
+        """All five axes: of the axis along the shaft the labels begin with "thrust: "."""
+
+        def named(several: tuple[Checks, ...]) -> tuple[Checks, ...]:
+            around = f"{OVER_TOLERANCES} around "
+            starts = (around if checks.label.startswith(around) else "" for checks in several)
+            return tuple(
+                replace(checks, label=f"{start}thrust: {checks.label.removeprefix(start)}")
+                for checks, start in zip(several, starts, strict=True)
+            )
+
+        timing = self.timing
+        if thrust.timing != timing:
+            timing = f"{timing}; thrust axis: {thrust.timing}"
+        return replace(
+            self,
+            points=(*self.points, *named(thrust.points)),
+            boxes=(*self.boxes, *named(thrust.boxes)),
+            ranges=(*self.ranges, *named(thrust.ranges)),
+            left_out=(*self.left_out, *(f"thrust: {label}" for label in thrust.left_out)),
+            not_varied=(*self.not_varied, *(f"thrust: {words}" for words in thrust.not_varied)),
+            timing=timing,
+            controller=f"{self.controller}; thrust axis: {thrust.controller}",
+            not_judged=(),
+        )
 
     def __getitem__(self, label: str) -> Checks:
         """The checks at the operating point of that label; raises KeyError that lists the

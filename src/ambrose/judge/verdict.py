@@ -280,6 +280,10 @@ def _changes(peak: np.ndarray, axis: int) -> np.ndarray:
     return np.where(both, 0.0, change)
 
 
+# the options that hold for the axis along the shaft as for the others
+_OF_EVERY_AXIS = ("rate", "delay_samples", "tolerances", "everywhere")
+
+
 @names_wrong_types
 def verify_controller(
     machine: Machine | Plant | Sequence[Plant],
@@ -306,6 +310,18 @@ def verify_controller(
     """
     law, asked = law_of(controller), Verifying(**options)
     whole = machine if points is None and isinstance(machine, Machine) else None
+    if asked.axial is not None:
+        # the axis along the shaft first: it takes little, and its controller may be the wrong one
+        if whole is None or not whole.has_axis:
+            raise InvalidInput(
+                "axial is given, but what is judged has no thrust bearing; leave it out, or give "
+                "the whole machine without points"
+            )
+        own = {name: value for name, value in options.items() if name in _OF_EVERY_AXIS}
+        thrust = verify_controller(whole.axial, asked.axial, progress=progress, **own)
+        radial = {**options, "axial": None}
+        judged = {"measured": measured, "running": running, "progress": progress}
+        return verify_controller(whole, law, **judged, **radial).with_thrust(thrust)
     if whole is not None:
         refuse_motion(whole, law, asked)
     if not isinstance(machine, Machine):
@@ -358,6 +374,7 @@ def verify_controller(
         moving,
         blocks,
         controller=law.named,
+        not_judged=("thrust axis",) if whole is not None and whole.has_axis else (),
         over_speed=tuple(
             f"{plant.point.label}: {words}"
             for plant in within

@@ -269,6 +269,11 @@ class AxialMachine(Machine):
         return found
 
     @property
+    def has_axis(self) -> bool:
+        """It is one itself, and has no other."""
+        return False
+
+    @property
     def axial(self) -> AxialMachine:
         """Itself."""
         return self

@@ -190,7 +190,9 @@ def loop_in_words(timing: str) -> str:
 
 def unchecked(result: Verification) -> list[str]:
     """What a verification does not cover, a sentence for each kind."""
-    sentences = []
+    sentences = [
+        f"Not judged: the {axis}; --axial takes its controller." for axis in result.not_judged
+    ]
     if result.left_out:
         names = "; ".join(result.left_out)
         sentences.append(f"Not covered by the controller's schedule, which does not pass: {names}.")
@@ -443,7 +445,8 @@ def deciding_verdict(verification: Verification) -> str:
     ]
     failed = [check for check in judged if not check.passed]
     points, boxes = len(verification.points), len(verification.boxes)
-    scope = f"{points} operating point{'s' * (points != 1)}"
+    scope = "radial axes, " if verification.not_judged else ""
+    scope += f"{points} operating point{'s' * (points != 1)}"
     scope += f", tolerances at {boxes} of them" if boxes else ""
     ranges = len(verification.ranges)
     scope += f", {ranges} range{'s' * (ranges > 1)}" if ranges else ""

@@ -21,7 +21,7 @@ from ambrose.core.statespace import StateSpace, append
 from ambrose.law.law import AllAxesProgram, LawLike, law_of
 from ambrose.law.loop import DEFAULT, Timing, timing_of
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import Machine
 from ambrose.rig import axial_rig, virtual_rig
 from ambrose.rig.engine.controller import RunningProgram, SampledLaw, sample_time, sampled_law
 from ambrose.rig.engine.equilibrium import fastest_pole, steps_per_sample, steps_within
@@ -95,7 +95,7 @@ def run(
     it (f_thrust_z). Raises InvalidInput, and NumericalFailure where there is no levitated state to
     start from.
     """
-    if isinstance(machine, AxialMachine) or not machine.has_axis:
+    if not machine.has_axis:
         raise InvalidInput(
             f"{machine.name} has no thrust bearing beside its radial ones; leave the axial "
             "controller out, and take a machine file without #axial"

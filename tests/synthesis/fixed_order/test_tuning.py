@@ -269,6 +269,23 @@ def test_modes_near_the_running_speeds_are_damped_as_the_separation_margin_asks(
         assert found == pytest.approx(part, rel=1e-6, abs=1e-12)
 
 
+def test_a_machine_runs_between_its_turning_points_where_nobody_says_so():
+    """The design damps the modes near the speeds that `verify` takes the machine to run at."""
+    stated = replace(MACHINE, requirements=replace(MACHINE.requirements, running_speeds=None))
+    point = MACHINE.operation.points[0]
+    faster = replace(point, label="faster", speed=1.1 * point.speed)
+
+    def at(*points):
+        return replace(stated, operation=replace(stated.operation, points=points))
+
+    wide = at(point, faster)
+    assert aims_of(at(point), START).running == (point.speed, point.speed)
+    assert aims_of(wide, START).running == pytest.approx((point.speed, 1.1 * point.speed))
+    own = replace(wide.requirements, running_speeds=(point.speed, 1400.0))
+    assert aims_of(replace(wide, requirements=own), START).running == own.running_speeds
+    assert aims_of(at(replace(point, speed=0.0)), START).running is None
+
+
 def test_poles_at_the_fence_are_pushed_back():
     """The cost grows without bound towards the fence, is infinite beyond it, and its slope points
     away from it.
