@@ -299,15 +299,15 @@ def quantity_given(text: str | None, option: str, dimension: str) -> float | Non
     return value
 
 
-def load(machine: str, *, magnets: bool = True) -> Machine:
-    """The machine of a command; magnets: whether the command needs magnetic bearings. Raises
-    InvalidInput.
+def load(machine: str, *, magnets: bool = True, part: bool = True) -> Machine:
+    """The machine of a command; magnets: whether the command needs magnetic bearings; part: whether
+    it takes the radial axes alone, which is said. Raises InvalidInput.
     """
     from ambrose.machine.file.toml import AXIAL, load_machine
     from ambrose.machine.machine import require_magnets
 
     found = load_machine(machine)
-    if found.has_axis:
+    if part and found.has_axis:
         say(f"note: the radial axes; along the shaft: {machine}{AXIAL}", err=True)
     if magnets:
         require_magnets(found)

@@ -8,6 +8,7 @@ import json
 import re
 import sys
 from dataclasses import replace
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +18,13 @@ from click.testing import CliRunner
 import ambrose as amb
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
+from ambrose.judge.checks import OVER_TOLERANCES
 from ambrose.judge.controller_file import write_controller
 from ambrose.machine.file.toml import dumps_machine
 from ambrose.record.files import read_record, write_record
 from ambrose.report.figures.motion import stations
 from ambrose.report.record import record_page
+from ambrose.report.tables import deciding_verdict, unchecked
 from ambrose.rig.scenario import Scenario, bundled_scenarios, load_scenario
 from ambrose.rig.trial import simulate_scenario
 from ambrose.synthesis.pid import pid_synthesis
@@ -51,6 +54,32 @@ def folder(tmp_path_factory):
     (folder / "plan.toml").write_text(PLAN)
     (folder / "now.csv").write_text("speed_rpm,axis,amplitude_um_0p,angle_deg\n9000,T_z,12,38\n")
     return folder
+
+
+def test_all_five_axes_are_judged_as_each_is_alone(folder):
+    """Also over the tolerances; without the controller of the thrust axis it is said that nothing
+    is known of it.
+    """
+    whole, options = machine(), {"rate": 2e4}
+    radial = pid_synthesis(amb.assemble(whole, "rest"))
+    axial = pid_synthesis(amb.assemble(whole.axial, "rest"))
+    alone = amb.verify(whole, radial, **options)
+    thrust = amb.verify(whole.axial, axial, **options)
+    both = amb.verify(whole, radial, axial=axial, **options)
+    expected = [(label, checks.to_dict()["checks"]) for label, checks in alone.labelled]
+    for label, checks in thrust.labelled:
+        point = label.removeprefix(OVER_TOLERANCES + " around ")
+        name = label.replace(point, f"thrust: {point}")
+        expected.append((name, checks.to_dict()["checks"]))
+    found = [(label, checks.to_dict()["checks"]) for label, checks in both.labelled]
+    assert sorted(found, key=itemgetter(0)) == sorted(expected, key=itemgetter(0))
+    assert both.passed == (alone.passed and thrust.passed)
+    assert alone.not_judged == ("thrust axis",) and both.not_judged == thrust.not_judged == ()
+    assert "radial axes" in deciding_verdict(alone) and "thrust axis" in unchecked(alone)[0]
+    lost = replace(axial, controller=replace(axial.controller, C=-axial.controller.C))
+    assert not amb.verify(whole, radial, axial=lost, **options).passed
+    with pytest.raises(InvalidInput, match="no thrust bearing; leave it out"):
+        amb.verify("seal-rig", radial, axial=axial)
 
 
 def run(folder, line):

@@ -444,10 +444,10 @@ def verify(
     from ambrose.judge.checks import moving_proofs
 
     options = asked_for(Verifying, asked)
-    description = load(machine)
+    description = load(machine, part=False)
     controller = load_controller(path, description)
-    if options.axial is not None:
-        options = replace(options, axial=load_controller(options.axial, description.axial))
+    if asked["axial"] is not None:
+        options = replace(options, axial=load_controller(asked["axial"], description.axial))
     fastest = options.pressure_rate or description.operation.pressure_rate
     if options.pressure_error and fastest is None:
         raise invalid(

@@ -319,9 +319,8 @@ def verify_controller(
             )
         own = {name: value for name, value in options.items() if name in _OF_EVERY_AXIS}
         thrust = verify_controller(whole.axial, asked.axial, progress=progress, **own)
-        radial = {**options, "axial": None}
-        judged = {"measured": measured, "running": running, "progress": progress}
-        return verify_controller(whole, law, **judged, **radial).with_thrust(thrust)
+        rest: Any = {**options, "measured": measured, "running": running, "axial": None}
+        return verify_controller(whole, law, progress=progress, **rest).with_thrust(thrust)
     if whole is not None:
         refuse_motion(whole, law, asked)
     if not isinstance(machine, Machine):

@@ -269,21 +269,40 @@ def test_modes_near_the_running_speeds_are_damped_as_the_separation_margin_asks(
         assert found == pytest.approx(part, rel=1e-6, abs=1e-12)
 
 
-def test_a_machine_runs_between_its_turning_points_where_nobody_says_so():
-    """The design damps the modes near the speeds that `verify` takes the machine to run at."""
-    stated = replace(MACHINE, requirements=replace(MACHINE.requirements, running_speeds=None))
+@pytest.mark.parametrize(
+    ("stated", "worst", "other", "taken"),
+    [
+        (False, 2.0, 0.9, "other"),
+        (False, 2.0, 1.1, "found"),
+        (False, 0.8, None, "found"),
+        (True, 2.0, None, "found"),
+    ],
+)
+def test_a_machine_runs_between_its_turning_points_where_nobody_says_so(
+    monkeypatch, stated, worst, other, taken
+):
+    """The modes near the speeds that `verify` takes it to run at are damped as well, where that
+    misses no other requirement.
+    """
     point = MACHINE.operation.points[0]
-    faster = replace(point, label="faster", speed=1.1 * point.speed)
+    speeds = (point.speed, 1400.0) if stated else None
+    wanted = replace(MACHINE.requirements, running_speeds=speeds)
+    machine = replace(MACHINE, requirements=wanted)
+    plants = [assemble(machine, p) for p in machine.operation.points]
+    job = prepare(plants, START, RUNS, 12, "free", 1, None, 60.0, None)
+    own = [p.speed for p in machine.operation.points if p.speed > 0]
+    asked = []
+    monkeypatch.setattr(tuning, "_judged", lambda *_: SimpleNamespace(worst=worst))
 
-    def at(*points):
-        return replace(stated, operation=replace(stated.operation, points=points))
+    def again(job, law, structure):
+        asked.append(job.aims.running)
+        return SimpleNamespace(gamma=other)
 
-    wide = at(point, faster)
-    assert aims_of(at(point), START).running == (point.speed, point.speed)
-    assert aims_of(wide, START).running == pytest.approx((point.speed, 1.1 * point.speed))
-    own = replace(wide.requirements, running_speeds=(point.speed, 1400.0))
-    assert aims_of(replace(wide, requirements=own), START).running == own.running_speeds
-    assert aims_of(at(replace(point, speed=0.0)), START).running is None
+    monkeypatch.setattr(tuning, "tuned", again)
+    found = SimpleNamespace(gamma=0.7, controller=START, filters=None)
+    result = tuning._separated(job, found, "free")
+    assert (result is found) == (taken == "found")
+    assert asked == ([] if other is None else [(min(own), max(own))])
 
 
 def test_poles_at_the_fence_are_pushed_back():

@@ -24,7 +24,7 @@ from ambrose.machine.criteria import CURRENT_PULSE as PULSE
 from ambrose.machine.machine import Machine
 from ambrose.model.effects.rotor import finite_element_rotor, free_modes
 from ambrose.model.plant import Plant, highest_verified, top_speed
-from ambrose.model.static_load import magnet_coefficients, residual_unbalance, running_range
+from ambrose.model.static_load import magnet_coefficients, residual_unbalance
 
 # What tuning aims at: the requirements of the machine file and the standards' defaults, as limits
 # of a loop's responses.
@@ -150,7 +150,6 @@ def aims_of(machine: Machine, start: StateSpace) -> Aims:
     largest = np.abs(frequency_response(start, np.geomspace(1, 1e6, 60)).values).max()
     tame = _GAIN * float(largest)
     above = wanted.damping_above
-    speeds = [point.speed for point in machine.operation.envelope]
     modes = free_modes(finite_element_rotor(machine), 1)
     bending = modes.frequencies[-1]
     return Aims(
@@ -172,7 +171,7 @@ def aims_of(machine: Machine, start: StateSpace) -> Aims:
         if wanted.settling_time is None
         else max(_BANDWIDTH, 1 / wanted.settling_time),
         roll_off=wanted.roll_off,
-        running=None if residual is None else running_range(wanted.running_speeds, speeds),
+        running=wanted.running_speeds,
         damping_asked=above is not None,
         gain_asked=wanted.control_gain is not None,
         voltage=None

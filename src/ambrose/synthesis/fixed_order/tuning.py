@@ -26,6 +26,7 @@ from ambrose.law.loop import Timing
 from ambrose.machine.part import PidSettings
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
+from ambrose.model.static_load import running_range
 from ambrose.model.uncertainty import (
     in_tolerances,
     perturbed,
@@ -218,9 +219,34 @@ def tune_controller(
     )
     law, *otherwise = first_laws(job, start, order, structure)
     found = tuned(job, law, structure, otherwise=otherwise)
-    if found.gamma <= 1 or found.stopped_early:
+    if found.gamma > 1 and not found.stopped_early:
+        found = _better(job, found, law, otherwise, structure)
+    return _separated(job, found, structure) if found.gamma <= 1 else found
+
+
+def _separated(job: Job, found: Synthesis, structure: str) -> Synthesis:
+    """With the modes damped near the speeds between which `verify` takes a machine to run whose
+    file states no running_speeds; the same where that is so already, or cannot be had without
+    missing another requirement.
+    """
+    points = job.full[0].machine.operation.envelope
+    running = running_range(job.aims.running, (point.speed for point in points))
+    if job.aims.running is not None or running is None or not job.aims.unbalance:
         return found
-    return _better(job, found, law, otherwise, structure)
+    again = replace(job, aims=replace(job.aims, running=running), narrowed=False, most_states=None)
+    law = found.controller if found.filters is None else found.filters
+    if _judged(again, law, job.models).worst <= 1:
+        return found
+    job.say(
+        f"a critical speed is too near the running speeds, {running[0]:.4g} to {running[1]:.4g} "
+        "rad/s: tuning on"
+    )
+    try:
+        other = tuned(again, law, structure)
+    except NumericalFailure as error:
+        job.say(str(error))
+        return found
+    return other if other.gamma <= 1 else found
 
 
 def _better(
