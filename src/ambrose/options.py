@@ -333,8 +333,8 @@ class Verifying(AsItRuns):
     )
     pressure_error: float = option(
         0.0,
-        'How far off what a controller scheduled over pressure is told may be, such as "0.4 bar"; '
-        "default: not at all.",
+        'Largest error of the pressure reading of a scheduled controller, such as "0.4 bar"; '
+        "default: none.",
         dimension="pressure",
         metavar="PRESSURE",
         check=positive("give it in Pa", zero_allowed=True),
@@ -355,7 +355,8 @@ READING_ERROR: dict[str, Any] = {
     "metavar": "PRESSURE",
 }
 STUCK_AFTER: dict[str, Any] = {
-    "meaning": "With --fallback: how long the very same reading may come; default: not watched.",
+    "meaning": "With --fallback: longest time without a change of the reading; default: not "
+    "checked.",
     "metavar": "SECONDS",
 }
 _ONE_LAW = "the linear loop has all modes, no noise and one controller; leave one of the two out"
@@ -414,8 +415,8 @@ class Simulating(AsItRuns):
     stuck_after: float | None = option(None, **STUCK_AFTER)
     estimate: str | None = option(
         None,
-        "With --fallback: a seal monitor runs beside the pressure's reading, or its estimate is "
-        "told in place of one.",
+        "With --fallback: a seal monitor checks the pressure reading (beside), or its estimate "
+        "replaces the reading (alone).",
         choices=("beside", "alone"),
     )
     bending_modes: int | None = option(
@@ -453,7 +454,7 @@ class Exploring(AsItRuns):
     speed: tuple[float, float] | None = option(
         None, "Poles over this range of the speed.", flag="--speed-rpm", check=ends, convert=rpm
     )
-    bound: bool = option(False, "An upper bound beside the worst unbalance found.")
+    bound: bool = option(False, "Also compute an upper bound of the worst unbalance response.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

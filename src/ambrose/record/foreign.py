@@ -279,7 +279,7 @@ def _on_one_time(
             "the start of the channels",
             f"{first:.9g} s ({early}) and {last:.9g} s ({late})",
             "the same, or whole samples apart in channels that share samples and need no [time]",
-            "resample them onto one time, or read each as a record of its own",
+            "resample them onto one time, or read each as a separate record",
         )
     moved = []
     for variable, cut in zip(variables, whole, strict=True):

@@ -360,8 +360,8 @@ def check_scenario(scenario: Scenario, along: Scheduling = PRESSURE) -> None:
     if unsupported := [item for item in scenario.only_for_the_rig if item not in known]:
         what = ", ".join(unsupported)
         raise InvalidInput(
-            f"scenario {scenario.name} has {what}, which a linear model does not know; run it on "
-            "the virtual rig"
+            f"scenario {scenario.name} has {what}, which a linear model does not have; run it "
+            "on the virtual rig"
         )
 
 
