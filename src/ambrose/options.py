@@ -482,8 +482,8 @@ class Rejecting(Options):
     )
     synchronous_band: tuple[float, float] | None = option(
         None,
-        "With --synchronous: lowest and highest speed of the block in rad/s; default: a tenth of "
-        "the top speed to it; damping has none, give the speeds around the critical one.",
+        "With --synchronous: lowest and highest speed of the block in rad/s; default: 10 to 100 "
+        "% of the top speed; for damping, state the speeds around the critical speed.",
     )
     synchronous_time: float | None = option(
         None,

@@ -667,7 +667,7 @@ def _check_signals(factors: CoprimeFactors, plant: StateSpace) -> None:
                 f"the plant's {side}",
                 ", ".join(actual),
                 ", ".join(known),
-                "take those it was factored with",
+                "use the signals with which it was factored",
             )
     if plant.dt != factors.plant.dt:
         raise invalid(

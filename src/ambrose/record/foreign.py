@@ -321,8 +321,8 @@ def _check_lengths(columns: ColumnMap, variables: list[Variable], time: Variable
 def _check_finite(column: Column, variable: Variable, moment: Callable[[int], str]) -> None:
     if np.iscomplexobj(variable.values):
         raise InvalidInput(
-            f"{column.source} is a frequency response, no time signal; name it in a [[path]] of a "
-            "column map of responses"
+            f"{column.source} is a frequency response, not a time signal; name it in a [[path]] "
+            f"of a column map of responses"
         )
     if (sample := variable.bad) is not None:
         at = f"{column.source} at sample {sample}{moment(sample)}"

@@ -585,7 +585,7 @@ def generic_page(done: GenericIdentification, *, date: str = "") -> Page:
 def _predicted(done: GenericIdentification) -> str:
     ahead = done.estimate.prediction
     error, promised = units.quantity(ahead.error, "m"), units.quantity(ahead.expected, "m")
-    return f"the second half, from the first: error {error}, promised {promised}"
+    return f"second half predicted from the first: error {error} (expected {promised})"
 
 
 def prediction_figure(done: GenericIdentification) -> Any:
@@ -1013,7 +1013,7 @@ def compared_table(rows: Sequence[Agreement]) -> Table:
         why = (
             ("noise" if row.agree else "more than noise")
             if row.other_half_width
-            else "the other states no interval"
+            else "the other result has no interval"
         )
         cells.append((row.path, *numbers(*pair, difference), why))
     note = (

@@ -128,7 +128,7 @@ def samples_in(length: float, dt: float, what: str) -> int:
             f"choose a shorter sample time, or a multiple of it ({least} and more are met well "
             "enough)"
         )
-        raise invalid(what, f"{length:g} s", f"within a tenth of whole samples of {dt:g} s", remedy)
+        raise invalid(what, f"{length:g} s", f"a multiple of {dt:g} s, to a tenth of it", remedy)
     return count
 
 

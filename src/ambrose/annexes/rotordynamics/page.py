@@ -621,7 +621,7 @@ def _judged_elsewhere(result: Lateral) -> str:
         return ""
     if not any(item.name.startswith("points.") for item in result.items):
         return "; the other requirements of the machine file are not checked here"
-    return "; at all others of the machine file stability and sensitivity alone"
+    return "; at all other points of the machine file only stability and sensitivity"
 
 
 def rotor_table(result: Lateral) -> Table:

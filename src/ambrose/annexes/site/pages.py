@@ -246,8 +246,8 @@ _QUANTITIES = (
 )
 _CAPTION = (
     "Circles: from closed-loop records, small motion at the working point; squares: chord over "
-    "static loads; 95 % bars. Line: "
-    "the machine file before, where it has coefficients. Without iron K_i grows with the bias and "
+    "static loads; 95 % bars. Line: the machine file before identification, where it has "
+    "coefficients. Without iron K_i grows with the bias and "
     "K_s with its square; what "
     "bends down at high bias is iron that saturates."
 )
@@ -688,9 +688,9 @@ def _loops_of_page(done: Retuning) -> Iterator[Section]:
     yield Section("The loop before and after", "", pictures, (_compared(before, after),), True)
     if boxes:
         text = (
-            "Found by search is what can happen; proved is what cannot be exceeded by any values "
-            "of the parameters within their intervals, at any frequency; on a frequency grid is "
-            "neither between its lines."
+            "Found by search: can occur. Proved: not exceeded for any parameter values within "
+            "their intervals, at any frequency. On a frequency grid: nothing is known between "
+            "its lines."
         )
         yield Section("Over the identified intervals", text, (), tuple(boxes), folded=True)
 

@@ -117,7 +117,7 @@ def coarse_steps(signals: dict[str, np.ndarray]) -> Iterator[Finding]:
                 Code.CLIPPED,
                 WARNING,
                 f"{name} is coarse",
-                f"its steps of {step:.2g} are {100 * share:.2g} % of its rms",
+                f"its quantisation steps of {step:.2g} are {100 * share:.2g} % of its rms",
                 "use more of the converter's range",
             )
 
