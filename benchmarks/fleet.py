@@ -13,7 +13,6 @@ import json
 import tempfile
 import time
 from pathlib import Path
-from textwrap import shorten
 
 import numpy as np
 from click.testing import CliRunner
@@ -31,7 +30,6 @@ STORED = Path(__file__).with_name("fleet.json")
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = DOCS / "reference" / "machines.md"
 RESULTS = DOCS / "research" / "machines.md"
-_WORDS = 110  # characters on the page; the whole text is in fleet.json
 OUTCOMES = {0: "passed", 1: "fails a check", 2: "refused"}
 MARKS = {0: "+", 1: "**1**", 2: "**2**"}
 
@@ -199,12 +197,6 @@ def results_page(results):
         + " |"
         for name, found in results.items()
     )
-    odd = "\n".join(
-        f"| `{name}` | {what} | {in_short(text)} |"
-        for name, found in results.items()
-        for what, (_, _, text) in found.items()
-        if text and what != "export"  # export refuses for what verify names
-    )
     return f"""# All commands on all machines
 
 Exit status and seconds of twelve commands on the [bundled machines](../reference/machines.md), on two slow cores that
@@ -218,19 +210,8 @@ Passed on all {len(results)} machines: {everywhere}. The others:
 {head}
 {table}
 
-## Checks that fail, and why a command refuses
-
-`export` refuses for the checks that `verify` names; the whole text is in `benchmarks/fleet.json`.
-
-| machine | command | what |
-|---|---|---|
-{odd}
+Which checks fail, and why a command refuses, is in `benchmarks/fleet.json`. `export` refuses for the checks that `verify` names.
 """
-
-
-def in_short(text):
-    """The beginning of what a command said; of an identification, the likeliest causes."""
-    return shorten(text.split("likeliest first: ")[-1], _WORDS, placeholder=" ...")
 
 
 def cell(outcome):

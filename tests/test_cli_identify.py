@@ -260,7 +260,7 @@ def test_static_loads_from_the_command_line(place, identified, tmp_path):
     )
     assert (
         refused.exit_code == 2
-        and "hold no load" in refused.stderr
+        and "have no load" in refused.stderr
         and not (tmp_path / "no.toml").exists()
     )
 

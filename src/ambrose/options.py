@@ -337,8 +337,8 @@ class Verifying(AsItRuns):
     )
     pressure_error: float = option(
         0.0,
-        'How far off what a controller scheduled over pressure is told may be, such as "0.4 bar"; '
-        "default: not at all.",
+        'Largest error of the pressure reading of a scheduled controller, such as "0.4 bar"; '
+        "default: none.",
         dimension="pressure",
         metavar="PRESSURE",
         check=positive("give it in Pa", zero_allowed=True),
@@ -359,7 +359,8 @@ READING_ERROR: dict[str, Any] = {
     "metavar": "PRESSURE",
 }
 STUCK_AFTER: dict[str, Any] = {
-    "meaning": "With --fallback: how long the very same reading may come; default: not watched.",
+    "meaning": "With --fallback: longest time without a change of the reading; default: not "
+    "checked.",
     "metavar": "SECONDS",
 }
 _ONE_LAW = "the linear loop has all modes, no noise and one controller; leave one of the two out"
@@ -418,8 +419,8 @@ class Simulating(AsItRuns):
     stuck_after: float | None = option(None, **STUCK_AFTER)
     estimate: str | None = option(
         None,
-        "With --fallback: a seal monitor runs beside the pressure's reading, or its estimate is "
-        "told in place of one.",
+        "With --fallback: a seal monitor checks the pressure reading (beside), or its estimate "
+        "replaces the reading (alone).",
         choices=("beside", "alone"),
     )
     bending_modes: int | None = option(
@@ -457,7 +458,7 @@ class Exploring(AsItRuns):
     speed: tuple[float, float] | None = option(
         None, "Poles over this range of the speed.", flag="--speed-rpm", check=ends, convert=rpm
     )
-    bound: bool = option(False, "An upper bound beside the worst unbalance found.")
+    bound: bool = option(False, "Also compute an upper bound of the worst unbalance response.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -485,8 +486,8 @@ class Rejecting(Options):
     )
     synchronous_band: tuple[float, float] | None = option(
         None,
-        "With --synchronous: lowest and highest speed of the block in rad/s; default: a tenth of "
-        "the top speed to it; damping has none, give the speeds around the critical one.",
+        "With --synchronous: lowest and highest speed of the block in rad/s; default: 10 to 100 "
+        "% of the top speed; for damping, state the speeds around the critical speed.",
     )
     synchronous_time: float | None = option(
         None,

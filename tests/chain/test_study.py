@@ -146,7 +146,7 @@ def test_what_a_trial_would_refuse_is_refused_before_the_first_computation(stubs
         load_machine("seal-rig"),
         controller=replace(load_machine("seal-rig").controller, sample_time=7e-3),
     )
-    with pytest.raises(InvalidInput, match=r"within a tenth of whole samples of 0\.007 s"):
+    with pytest.raises(InvalidInput, match=r"a multiple of 0\.007 s, to a tenth of it"):
         workflow.study(slow, tmp_path)
     for machine in bundled_machines():
         check_trials(load_machine(machine))

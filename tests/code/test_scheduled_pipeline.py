@@ -311,7 +311,7 @@ def test_the_law_is_read_back_out_of_the_running_code(arithmetic, apart):
                 np.abs(getattr(found, letter) - getattr(meant, letter)).max()
                 <= apart * np.abs(getattr(meant, letter)).max()
             )
-    with pytest.raises(InvalidInput, match="clamps what it is told"):
+    with pytest.raises(InvalidInput, match="clamps its readings"):
         read_law(code, 700.0)
 
 

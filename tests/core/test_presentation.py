@@ -100,7 +100,7 @@ def test_plain_data():
         "a": [1.0, "inf", None],
         "2": [[True]],
     }
-    with pytest.raises(TypeError, match="object is no plain data"):
+    with pytest.raises(TypeError, match="object is not plain data"):
         to_plain(object())
 
 

@@ -199,7 +199,7 @@ def test_refusals_before_anything_is_fitted():
         ("delay is not identified", response, {"unknown": "delay"}),
         ("no axis 'X'", replace(response, paths=(replace(response.paths[0], read="X"),)), {}),
         ("method closed-loop", response, {"method": "youla"}),
-        ("nothing says how often", replace(response, sample_rate_hz=None), {}),
+        ("sample rate is unknown", replace(response, sample_rate_hz=None), {}),
         ("not between all", measured("G", edit=None).__class__(
             response.machine, response.omega, measured("G").paths[:5], response.point,
             sample_rate_hz=1e4), {}),

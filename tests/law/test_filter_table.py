@@ -122,7 +122,7 @@ WRONG = {
     "no text": (
         "k.csv",
         'channel,zeros,poles,gain\n"' + "A" * 200_000 + '",,-5,1\n',
-        "is no table in CSV",
+        "is not a CSV table",
     ),
     "400 digits": (
         "k.json",
@@ -151,7 +151,7 @@ WRONG = {
         '{"channels": {"A": {"sos": [[1, 2, 3, 4, 5]]}}}',
         "has 5 numbers, but must have six",
     ),
-    "no list": ("k.json", '{"channels": {"A": {"sos": 3}}}', "3 is no list"),
+    "no list": ("k.json", '{"channels": {"A": {"sos": 3}}}', "3 is not a list"),
     "boolean": (
         "k.json",
         '{"channels": {"A": {"sos": [[true, 0, 0, 1, 0, 0]]}}}',

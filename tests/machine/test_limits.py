@@ -266,7 +266,7 @@ def test_an_hdf5_record_with_too_much_is_refused(tmp_path, given, message):
 
 def test_what_an_hdf5_record_holds_beside_its_signals_is_not_read(tmp_path, monkeypatch):
     monkeypatch.setattr(hdf5_file, "BESIDE", 100_000)
-    with pytest.raises(InvalidInput, match="beside its signals"):
+    with pytest.raises(InvalidInput, match="size of the file's attributes"):
         read_record(hdf5(tmp_path / "r.h5", attributes=[("k", "x" * 100_000)]))
 
 

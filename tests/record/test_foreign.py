@@ -386,10 +386,10 @@ def refused(path, columns, message):
         ("Y(:,4)", r"Y\(:,4\) does not exist, the variable has 3 columns; count from 1"),
         ("Y(0,:)", "count from 1"),
         ("Z", "there is no variable 'Z' in the file; it has Y, text, z, cube, log"),
-        ("text", "text holds no numbers"),
+        ("text", "text not an array of real numbers"),
         ("z", "z holds complex numbers"),
         ("cube", "cube holds a block of numbers"),
-        ("log", "log holds no numbers"),
+        ("log", "log not an array of real numbers"),
         ("log.b", "there is no variable 'log.b' in the file; it has log.a"),
         ("Y.b", "there is no variable 'Y.b'"),
     ],
@@ -506,11 +506,11 @@ def test_packed_numbers_of_hdf5_are_unpacked(tmp_path):
         ({"scale_factor": 1e308}, "y at sample 3 .* is inf, but must be finite"),
         ({"_FillValue": np.int16(-1)}, "y at sample 0"),
         ({"missing_value": 7}, "y at sample 8"),
-        ({"scale_factor": np.arange(3.0)}, "must be finite|no single numbers"),
-        ({"scale_factor": "ten"}, "no single numbers"),
+        ({"scale_factor": np.arange(3.0)}, "must be finite|must be single numbers"),
+        ({"scale_factor": "ten"}, "must be single numbers"),
         ({"MATLAB_empty": 1}, "y is empty"),
-        ({"MATLAB_class": b"string"}, "holds no numbers"),
-        ({"MATLAB_object_decode": 3}, "holds no numbers"),
+        ({"MATLAB_class": b"string"}, "not an array of real numbers"),
+        ({"MATLAB_object_decode": 3}, "not an array of real numbers"),
     ):
         with pytest.raises(InvalidInput, match=words):
             of_hdf5(path, units="um", **more)

@@ -155,7 +155,7 @@ def test_a_response_is_no_time_signal(tmp_path):
     path = written(tmp_path, universal(L, True, True, False), "sweep.uff")
     known = {"machine": "toy", "point": POINT, "sample_rate_hz": 1e4,
              "signal": [{"name": "y_A_zeta", "source": "set 1", "unit": "m"}]}  # fmt: skip
-    with pytest.raises(InvalidInput, match="frequency response, no time signal"):
+    with pytest.raises(InvalidInput, match="frequency response, not a time signal"):
         read_foreign(path, known)
 
 

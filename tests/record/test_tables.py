@@ -96,7 +96,7 @@ def test_tables_of_vendors_are_read(tmp_path, kind, encoding):
         ("t;y;i\n0;1;2\n1;2;3\n", "there is no column 'x' in the file; it has t, y, i"),
         ("t [s];x;i [A]\n0;1;2\n1;2;3\n", "no unit"),
         ("t [s];x [um];i [A]\n0;1;2\n1;nan;3\n", "must be finite"),
-        ("a\0b", "it is no text"),
+        ("a\0b", "it is not text"),
         ("t;x;i\n0,0;1,5;2\n1,0;1.5;3\n", "decimal commas .'0,0;1,5;2' in line 2. and points"),
         ("t;x;i\n0;990;2\n1;1.000;3\n", '"1.000" in line 3 may be 1000, beside "990" in line 2'),
         ("t\tx\ti\n0\t990\t2\n1\t1,000\t3\n", '"1,000" in line 3 may be 1000'),

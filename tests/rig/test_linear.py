@@ -352,7 +352,7 @@ def test_trace_goes_to_a_file(tmp_path):
         (
             Scenario("x", 1.0, pulses=(Pulse("e_A_zeta", 1.0, 0.0, 1.5e-4),)),
             {},
-            "within a tenth of whole samples",
+            "to a tenth of it",
         ),
         (Scenario("x", 1.0, sines=(Sine("e_A_zeta", 1.0, 1e4),)), {"dt": 1e-4}, "sample faster"),
         (

@@ -69,7 +69,7 @@ def test_a_length_of_few_samples_is_not_stretched():
         if usable:
             waveforms(scenario, ["e_A"], 1e-4, 100)
         else:
-            with pytest.raises(InvalidInput, match="within a tenth of whole samples"):
+            with pytest.raises(InvalidInput, match="to a tenth of it"):
                 waveforms(scenario, ["e_A"], 1e-4, 100)
 
 

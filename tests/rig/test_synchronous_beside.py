@@ -129,5 +129,5 @@ def test_what_a_schedule_is_told_may_be_lost_or_beyond_its_range(controlled):
     program.schedule(np.nan)
     assert program.system is kept
     assert np.allclose(kept.D, 0.85 * program(5000.0).D)
-    with pytest.raises(InvalidInput, match="not beside a program"):
+    with pytest.raises(InvalidInput, match="not with a program"):
         beside_law(machine, law_of(program), both.synchronous, HOLD, start, timing)

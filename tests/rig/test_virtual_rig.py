@@ -324,7 +324,7 @@ def test_bad_input_is_refused():
     refused("computing delay", computing_delay=-1)
     refused("bending_modes", bending_modes=-1)
     refused(
-        "a tenth of whole samples",
+        "to a tenth of it",
         scenario=Scenario("x", 0.1, pulses=(Pulse("e_A_zeta", 1.0, 0.01, 1.5e-4),)),
     )
     refused(

@@ -122,7 +122,7 @@ def test_units_sign_and_names(tmp_path):
     assert turned.inputs == plain.inputs
     with pytest.raises(
         InvalidInput,
-        match="input_unit is um in the file, and mm was stated; leave out what is wrong",
+        match="input_unit is um in the file, and mm was stated; leave out the wrong one",
     ):
         read(tmp_path, content, input_unit="mm")
 
@@ -297,7 +297,7 @@ def test_what_cannot_be_meant_is_refused_in_a_sentence(name, tmp_path):
 
 def test_mat_files_that_hold_no_controller_are_refused(tmp_path):
     scipy.io.savemat(tmp_path / "k.mat", {"x": 1.0})
-    with pytest.raises(InvalidInput, match=r"it holds no controller \(x\); save b and a"):
+    with pytest.raises(InvalidInput, match=r"it has no controller \(x\); save b and a"):
         amb.read_controller(tmp_path / "k.mat")
     (tmp_path / "k.mat").write_bytes(b"no MAT-file")
     with pytest.raises(InvalidInput, match=r"k\.mat: it cannot be read"):

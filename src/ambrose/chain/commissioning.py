@@ -260,8 +260,8 @@ def commission(
     held = as_recorded(plants[0], reference)
     if not held.stable:
         raise InvalidInput(
-            f"the reference controller does not hold the nominal plant, {held.timing} "
-            f"({held.abscissa:+.3g} 1/s), so there is nothing to record; give one that does"
+            f"the reference controller does not stabilise the nominal plant, {held.timing} "
+            f"({held.abscissa:+.3g} 1/s), so that nothing can be recorded; give one that does"
         )
     if chosen:
         progress(f"the record is taken under {chosen}")

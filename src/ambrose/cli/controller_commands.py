@@ -103,7 +103,7 @@ def synthesize(
     With --method tuned, the default, for the whole envelope: all operating points and the
     tolerances around each; the other methods design for one operating point (--point), lpv for a
     range of speeds, of seal pressures or both. Exit status 1: an operating point of the machine is
-    not held (with --point: that one), or what was designed for is not met.
+    not stable (with --point: that one), or a requirement of the design is not met.
     """
     from ambrose.api import assemble, design_with_block
     from ambrose.core.checks import invalid
@@ -454,7 +454,7 @@ def verify(
             "--pressure-error",
             asked["pressure_error"],
             "given with --pressure-rate",
-            "say how fast the pressure changes",
+            "state the fastest change of the pressure",
         )
     if page is not None:
         settings = description.controller
@@ -589,8 +589,8 @@ def map_command(
     """Map a loop over its range: poles over speed and pressure, Campbell, pulse and unbalance over
     the tolerances.
 
-    Where stability ends over speed and pressure, beyond what the machine file asks for; how far all
-    members of the tolerances swing after a pulse; the worst orbit by unbalance over speed. Exit
+    The limits of stability over speed and pressure, also outside the machine file's range; the
+    largest motion after a pulse over all tolerances; the worst orbit by unbalance over speed. Exit
     status 1: not stable everywhere in the machine's own range.
     """
     from ambrose.judge.exploration import explore

@@ -69,7 +69,7 @@ def scenarios(name: str | None, as_json: bool) -> None:
 @MACHINE
 @AS_JSON
 def check(machine: str, as_json: bool) -> None:
-    """Validate a machine file, and say what it can do: mass, load capacity, bending,
+    """Validate a machine file and print its properties: mass, load capacity, bending,
     poles, critical speeds.
 
     What is implausible (a length without its unit, a magnet that cannot lift, a gain below k_s/k_i)
@@ -112,7 +112,7 @@ _SHAFT = ("length", "diameter", "speed")
     "discs",
     multiple=True,
     metavar="POSITION,MASS,DIAMETER",
-    help='Such as "300 mm, 8 kg, 250 mm"; any number of times.',
+    help='A disc, such as "300 mm, 8 kg, 250 mm"; repeatable.',
 )
 @click.option(
     "--bearings",
@@ -121,7 +121,7 @@ _SHAFT = ("length", "diameter", "speed")
 @click.option(
     "--vertical",
     is_flag=True,
-    help="The rotor stands; default: it lies, and its weight loads the bearings.",
+    help="The rotor is vertical; default: horizontal, its weight loads the bearings.",
 )
 @click.option(
     "--load",
@@ -144,10 +144,10 @@ _SHAFT = ("length", "diameter", "speed")
 @click.option("--force", is_flag=True, help="Replace a file that exists.")
 @AS_JSON
 def new(file: Path, force: bool, as_json: bool, **answers: Any) -> None:
-    """Write a machine file to start from: what is not given is asked for on a terminal, or chosen
-    so that the rotor levitates.
+    """Write a machine file to start from. Values that are not given are asked for on a terminal,
+    or chosen so that the rotor levitates.
 
-    Every number has its unit and a comment; what was chosen is marked as assumed, with the reason.
+    Every number has its unit and a comment; chosen values are marked as assumed, with the reason.
     Then: ambrose check FILE.
     """
     from ambrose.chain.new_machine import NOT_HELD, new_machine
@@ -305,7 +305,7 @@ METHODS = ("tustin", "zoh", "backward-euler", "matched")
     "turned.",
 )
 @click.option(
-    "--input-unit", help="Unit of what it takes, such as um; default: the file's, else m."
+    "--input-unit", help="Unit of the controller's input, such as um; default: the file's, else m."
 )
 @click.option(
     "--output-unit", help="Unit of its currents, such as mA; default: the file's, else A."
@@ -342,10 +342,10 @@ def convert_controller(
     """Write a controller of another program as a controller file, for verify, simulate, identify
     and export.
 
-    SOURCE holds difference equations (b, a), second-order sections, or zeros, poles and gain per
+    SOURCE contains difference equations (b, a), second-order sections, or zeros, poles and gain per
     channel (*.csv, *.json, *.mat), transfer-function or state-space matrices (*.json, *.mat), or is
     a controller file. With --machine the loop is closed around the full plant at every operating
-    point: exit status 1 where it is unstable, with the sign or unit that would hold it.
+    point: exit status 1 where it is unstable, with the sign or unit that would stabilise it.
     """
     write_imported(source, machine, output, as_json, **asked)
 
@@ -435,7 +435,7 @@ def write_imported(
 @click.option(
     "--bearings", help='Of a rotor model: places of its magnets, such as "75 mm, 525 mm".'
 )
-@click.option("--vertical", is_flag=True, help="Of a rotor model: it stands.")
+@click.option("--vertical", is_flag=True, help="The rotor model is of a vertical rotor.")
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), default=Path("record.h5"), show_default=True
 )
@@ -557,12 +557,11 @@ def _convert_machine(
     else:
         if output.exists() and output.samefile(source):
             raise InvalidInput(
-                f"{output} is what is read; give the machine file another name with -o"
+                f"{output} is the input file; give the machine file another name with -o"
             )
         if output.exists():
             raise InvalidInput(
-                f"{output} exists already; choose another name with -o, or remove the machine "
-                "that stands there"
+                f"{output} exists already; choose another name with -o, or remove the file"
             )
         rotor = read_rotor(source)
         claim(machine_file=output)

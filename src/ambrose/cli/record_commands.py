@@ -66,11 +66,10 @@ def record_check(
     as_json: bool,
     **columns: str | None,
 ) -> None:
-    """Whether a record can be used, and for what: what is in it, what is wrong with its signals,
-    and for every use what it lacks.
+    """Check what a record can be used for: its signals, their faults, and what each use lacks.
 
     RECORD: a record, or a text table of one axis. MACHINE: whose record it is; its axes and limits
-    are then checked. Exit status 1: it serves for nothing, or a signal is useless.
+    are then checked. Exit status 1: the record cannot be used, or one of its signals cannot.
     """
     from ambrose.api import check_record
 
@@ -148,9 +147,9 @@ def identify_generic(
     """Identify one levitated axis from its record alone: pole, gain, delay, with intervals.
 
     RECORD: a record, or a text table (*.csv, *.txt) with times, displacement y and drive u, and
-    best what drove the loop from outside. The controller may be unknown. Looks first and refuses
-    with reasons what can carry no identification (status 2); status 1: a doubt, or "not this
-    model".
+    best what drove the loop from outside. The controller may be unknown. Unusable records are
+    refused with the reasons (status 2); status 1: the result is doubtful, or the model does not
+    fit.
     """
     from ambrose.api import identify_generic as run
     from ambrose.report.identification import generic_tables
@@ -426,10 +425,10 @@ def seal(
     """Seal coefficients K, k, C, c over frequency and pressure; write the machine with them and
     their tolerances.
 
-    RECORDS hold y_<axis>, excitations e_<axis> along both directions, and i_<axis> or u_<axis>:
+    RECORDS contain y_<axis>, excitations e_<axis> along both directions, and i_<axis> or u_<axis>:
     stepped sines (scenario seal-sines), or chirps, binary sequences and noise (scenario
-    acceptance), at one pressure or several. Those without pressure are the baseline: what the model
-    lacks shows there, and is taken off. No controller is needed. Exit status 1: found and written,
+    acceptance), at one pressure or several. Records without pressure are the baseline: the model's
+    error found there is subtracted. No controller is needed. Exit status 1: found and written,
     but something makes it doubtful.
     """
     from math import tau

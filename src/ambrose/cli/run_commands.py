@@ -69,7 +69,7 @@ class OnTarget(Simulating):
     on_target: str | None = option(
         None,
         "The controller's C code, compiled for this processor, runs in QEMU as the controller; "
-        "beside it once more on this computer.",
+        "the same code runs on this computer for comparison.",
         choices=PROCESSORS,
     )
     arithmetic: Any = option(

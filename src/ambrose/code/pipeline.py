@@ -143,7 +143,7 @@ def blocks_beside(
         target.check_beside()
         if machine is None:
             raise InvalidInput(
-                "the synchronous blocks need the machine, which says what they read; name its file "
+                "the synchronous blocks need the machine file for the signals they read; name it "
                 "(--machine my.toml)"
             )
         check_blocks(blocks, machine)
@@ -255,7 +255,7 @@ def axial_target(target: Target, machine: Machine | None, timing: Timing | None)
 
     if not isinstance(target, C | Fmu):
         raise invalid(
-            "an axial controller beside the radial one",
+            "an axial controller together with the radial one",
             f"given for the target {target.to!r}",
             "left out",
             "write C or an FMU, or write each controller by itself",
@@ -549,7 +549,7 @@ def _along(
     """
     if isinstance(machine, AxialMachine):
         raise InvalidInput(
-            "the radial controller is exported with the axial one beside it; name the radial "
+            "the axial controller is exported together with the radial one; name the radial "
             "controller first, and the machine without #axial"
         )
     known = machine.axial if machine is not None and machine.has_axis else None

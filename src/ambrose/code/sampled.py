@@ -454,9 +454,8 @@ def _refuse(problems: Sequence[str], force: bool) -> None:
     """Raises UnstableSystem with the problems, if there are any and nobody insists."""
     if problems and not force:
         raise UnstableSystem(
-            f"this controller is not deployed: {'; '.join(problems)}; design or verify it again, "
-            "or say that it is wanted all "
-            "the same (force)"
+            f"this controller is not deployed: {'; '.join(problems)}; design or verify it "
+            "again, or export it in spite of that (force)"
         )
 
 

@@ -336,7 +336,7 @@ def generate_run_structured_text(
     """
     if precision not in get_args(Precision):
         raise invalid(
-            "arithmetic beside a synchronous block",
+            "arithmetic with a synchronous block",
             repr(precision),
             "double or float",
             "structured text has no fixed point here; write C",

@@ -74,7 +74,7 @@ class Target(AsItRuns, ABC):
         None, "Largest plausible error in m; default: the bearing's gap."
     )
     current_limit: ArrayLike | None = option(None, "Largest current in A; default: the bearing's.")
-    windup_time: float | None = option(None, "How fast what is wound up is let go, s.", flag=None)
+    windup_time: float | None = option(None, "Time constant of the anti-windup, s.", flag=None)
     hold_samples: int | None = option(None, "Samples a lost reading is held for.", flag=None)
     speed_limit: float | None = option(
         None, "Scheduled: largest plausible speed in rad/s; default: twice the range's."

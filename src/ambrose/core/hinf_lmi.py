@@ -182,8 +182,8 @@ def smallest_gamma(plant: ScaledPlant, time_left: Callable[[], float]) -> Prepar
         last, gamma = gamma, gamma * value
         if not gamma > 0:
             raise NumericalFailure(
-                f"the matrix inequalities give gamma = {gamma:.3g}; w has no effect on z that "
-                "matters"
+                f"the matrix inequalities give gamma = {gamma:.3g}; w has almost no effect on "
+                "z; check the inputs w and the outputs z"
             )
         plant = _balanced(plant, R, S)
         if abs(gamma / last - 1) < 5e-4:

@@ -667,7 +667,7 @@ def _check_signals(factors: CoprimeFactors, plant: StateSpace) -> None:
                 f"the plant's {side}",
                 ", ".join(actual),
                 ", ".join(known),
-                "take those it was factored with",
+                "use the signals with which it was factored",
             )
     if plant.dt != factors.plant.dt:
         raise invalid(
@@ -729,9 +729,8 @@ def injection_gain(
     )
     if close_by.min() < 1e-11:
         raise InvalidInput(
-            f"a pole decays at {decay:g} 1/s, just the rate that is asked for, and cannot be "
-            "mirrored; "
-            "ask for a slightly larger decay"
+            f"a pole decays at {decay:g} 1/s, exactly the required rate, and cannot be "
+            "mirrored; require a slightly larger decay"
         )
     if dt is None:
         # T1^T X + X T1 = C1^T C1; with Y = X^-1 the Bernoulli equation

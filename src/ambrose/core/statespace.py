@@ -159,7 +159,7 @@ class StateSpace(Presented):
                     "dt",
                     dt,
                     "the sample time in seconds, or None",
-                    "True and False say nothing about seconds",
+                    "True and False are not durations",
                 )
             dt = check_positive(
                 dt, "dt", "give the sample time in seconds, or None for continuous time"
@@ -588,7 +588,7 @@ def connect(
         if name not in sums:
             by = f" (wanted by {wanted_by[-1]!r})" if wanted_by else ""
             raise InvalidInput(
-                f"signal {name!r}{by} is no system's output, no external input and no sum"
+                f"signal {name!r}{by} is neither a system's output, an external input nor a sum"
             )
         if name in wanted_by:
             raise InvalidInput(
@@ -613,8 +613,8 @@ def connect(
     pick = np.array([signal(name, ()) for name in outputs]).reshape(len(outputs), len(sources))
     if set(sums) - used:
         raise InvalidInput(
-            f"the sum {sorted(set(sums) - used)[0]!r} leads nowhere: it is no input, no output "
-            "and no term"
+            f"the sum {sorted(set(sums) - used)[0]!r} is not used: it is neither an input, an "
+            "output nor a term"
         )
     C, D = pick[:, :p] @ closed.C, pick[:, :p] @ D + pick[:, p:]
     return StateSpace(closed.A, B, C, D, list(inputs), list(outputs), closed.dt)

@@ -154,7 +154,7 @@ def worst_case_gain(system: Any, blocks: Sequence[Block], seed: int = 1) -> BoxG
             "the system",
             f"{loop.system.D.shape[1]} inputs and {loop.system.D.shape[0]} outputs, those of the "
             "blocks",
-            "one with further inputs and outputs, whose gain is asked for",
+            "one with further inputs and outputs, of which the gain is computed",
             "list them after those of the blocks",
         )
     return worst_gain(loop, seed=seed)

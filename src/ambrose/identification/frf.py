@@ -243,7 +243,7 @@ def stepped(
         raise InvalidInput(
             f"no frequency was driven in as many ways as there are inputs, {len(u)}: drive every "
             "input by one schedule of "
-            "frequencies, one after the other or in records of their own"
+            "frequencies, one after the other or in separate records"
         )
     parts = []
     for group in enough:
@@ -294,8 +294,8 @@ def _line(
     mean = np.stack([item.mean for item in driven], axis=1)
     if np.linalg.svd(mean[:m], compute_uv=False)[m - 1] <= _APART * np.linalg.norm(mean[:m], 2):
         raise InvalidInput(
-            f"at {frequency / 2 / np.pi:g} Hz the records drive the inputs alike; drive each in a "
-            "record of its own"
+            f"at {frequency / 2 / np.pi:g} Hz the records drive all inputs with the same "
+            "pattern; drive each in a separate record"
         )
     count = min(len(item.blocks) for item in driven)
     blocks = np.stack([item.blocks[:count].T for item in driven], axis=2)  # (s, b, ways)
@@ -419,7 +419,7 @@ def measure(
     """
     if method is not None and method not in METHODS:
         raise invalid(
-            "method", repr(method), " or ".join(METHODS), "leave it out: the excitation tells"
+            "method", repr(method), " or ".join(METHODS), "leave it out: the excitation decides"
         )
     together = driven_groups(records, axes)
     inputs = tuple(group[0] for group in together)
@@ -483,7 +483,7 @@ def driven_groups(records: Sequence[Record], axes: Sequence[str]) -> tuple[tuple
             groups.append([name])
     if not groups:
         raise InvalidInput(
-            "the records hold no excitation e_<axis>, r_<axis> or f_<port> that changes; excite "
+            "the records have no excitation e_<axis>, r_<axis> or f_<port> that changes; excite "
             "the loop, as the scenarios "
             "chirp, prbs, stepped-sine and acceptance do, and record what was added"
         )

@@ -397,8 +397,8 @@ def _excited(
     if not (kept & strong).any():
         where = "anywhere" if band is None else f"between {low:g} and {high:g} rad/s"
         raise InvalidInput(
-            f"the excitations {', '.join(names)} hold no power {where}; move the band, or excite "
-            "there"
+            f"the excitations {', '.join(names)} have no power {where}; move the band, or "
+            "excite there"
         )
     return kept & strong
 
@@ -417,8 +417,8 @@ def _inverse(S: np.ndarray, omega: np.ndarray, names: tuple[str, ...]) -> np.nda
         ]
         raise InvalidInput(
             f"the excitations {', '.join(together)} are alike at {omega[worst]:.4g} rad/s, so "
-            "their responses cannot be told "
-            "apart; add a record with another pattern (parallel and tilt, or each axis alone), or "
+            "their responses cannot be separated; add a record with another pattern (parallel "
+            "and tilt, or each axis alone), or "
             "take fewer inputs"
         )
     return np.linalg.inv(S)
@@ -514,8 +514,8 @@ def local_response(
     lines.sort(key=lambda line: line[0])
     if not lines:
         raise InvalidInput(
-            f"the excitations {', '.join(u)} are alike, or hold no power in the band; excite each "
-            "by a pattern of its own"
+            f"the excitations {', '.join(u)} are equal, or have no power in the band; excite "
+            "each with a different pattern"
         )
     omega, G, noise, share, coherence = (np.array(part) for part in zip(*lines, strict=True))
     variance = (

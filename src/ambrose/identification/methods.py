@@ -55,9 +55,9 @@ class LoopMethod(Identifying):
     )
     bending_modes: int | None = option(
         None,
-        "Bending modes per plane in the model; default: as many as the record tells, 3 or more.",
+        "Bending modes per plane in the model; default: as many as the record shows, 3 or more.",
     )
-    harmonics: int = option(3, "Multiples of the speed that unbalance may hold.")
+    harmonics: int = option(3, "Harmonics of the speed that unbalance may have.")
     tones: Sequence[float] = option(
         (), "Another tone, as of the mains (repeatable).", flag="--tone", many=True, metavar="HZ"
     )

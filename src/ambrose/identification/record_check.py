@@ -272,7 +272,7 @@ def _findings(record: Record, machine: Machine | None) -> Iterator[Finding]:
             Code.NO_RESPONSE,
             WARNING,
             "the record is short",
-            f"{seconds:.3g} s hold few periods of the slowest modes",
+            f"{seconds:.3g} s contain few periods of the slowest modes",
             "record two seconds and more",
         )
     if machine is not None:

@@ -142,7 +142,7 @@ def identify_responses(
     timing = timing_of(machine, controller, responses[0].sample_rate_hz)
     if timing is None:
         raise InvalidInput(
-            "nothing says how often the controller runs; state sample_rate_hz with the responses, "
+            "the controller's sample rate is unknown; state sample_rate_hz with the responses, "
             "or sample_time in [controller] of the machine file"
         )
     delay = timing.delay_samples if computing_delay is None else computing_delay

@@ -86,7 +86,7 @@ def steady_levels(
     )
     if not ports:
         raise InvalidInput(
-            "the records hold no load: no signal f_<port> differs from zero; record the force "
+            "the records have no load: no signal f_<port> differs from zero; record the force "
             "transducer as one"
         )
     size = max(
@@ -432,7 +432,7 @@ def _check_loaded(axes: tuple[str, ...], forces: np.ndarray) -> None:
         if largest < _SIDED * most.max():
             raise InvalidInput(
                 f"axis {axis} carries no load ({largest:.3g} N of {most.max():.3g} N); "
-                "its K_i cannot be told: load the rotor along every actuator axis, "
+                "its K_i cannot be found; load the rotor along every actuator axis, "
                 "in both directions"
             )
 

@@ -597,7 +597,7 @@ def _check_bounded(plant: Plant, records: Sequence[Record]) -> None:
             raise InvalidInput(
                 f"the motion in record {number} grows {growth:.3g} times towards its end, its "
                 "excitation does not: the loop "
-                "was not stable, or something else shook it; cut the record before "
+                "was not stable, or another force acted; cut the record before "
                 "(Record.between), or use another controller"
             )
 

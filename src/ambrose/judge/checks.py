@@ -324,8 +324,8 @@ def refuse_motion(machine: Machine, law: LawLike, motion: Verifying) -> None:
     proofs = moving_proofs()
     if not proofs and (motion.pressure_rate or motion.speed_rate or motion.pressure_error):
         raise InvalidInput(
-            "this installation holds no proof for a speed or pressure that changes; leave the "
-            "rates out, or install the annex of schedules"
+            "this installation cannot prove stability for changing speed or pressure; leave the "
+            "rates out, or install the annex scheduled"
         )
     for proof in proofs:
         proof.refuse(machine, law_of(law), motion)

@@ -367,7 +367,7 @@ def _restated(result: Synthesis, stated: Mapping[str, Any]) -> Synthesis:
     for key, value in stated.items():
         if value is not None and key not in ("delay_samples", DEFAULT_AXES):
             raise InvalidInput(
-                f"{key} was stated, but a file of this package says it itself; leave it out"
+                f"{key} was stated, but a file of this package states it already; leave it out"
             )
     if delay is None:
         return result

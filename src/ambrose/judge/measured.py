@@ -371,7 +371,7 @@ def turns(
         at_hz = judged.omega[open_] / TWO_PI
         k = int(np.argmax(np.where(open_, judged.spacing / judged.omega, 0.0)))
         raise InvalidInput(
-            f"the responses do not tell whether the loop is stable from {at_hz[0]:.4g} to "
+            f"the responses do not show whether the loop is stable from {at_hz[0]:.4g} to "
             f"{at_hz[-1]:.4g} Hz, where lines are up to {judged.spacing[k] / TWO_PI:.3g} Hz apart; "
             "sweep there with closer lines, and longer at each"
         )
@@ -415,7 +415,7 @@ def _below(
         off = largest_gain(np.linalg.inv(loop)[:, None] @ left)
         if (np.mean(off**2, axis=1) >= 1).any():
             raise InvalidInput(
-                f"below the first line, {first[0] / TWO_PI:.4g} Hz, the responses do not tell "
+                f"below the first line, {first[0] / TWO_PI:.4g} Hz, the responses do not show "
                 "whether the loop is stable; begin the sweep lower, and measure longer there"
             )
     signs = np.linalg.slogdet(new)[0] / np.linalg.slogdet(run)[0]
@@ -477,7 +477,7 @@ def check_measured(
     law = running_law(controller, plant, timing)
     if law.dt is None:
         raise InvalidInput(
-            "nothing says how often the controller runs; state sample_rate_hz with the responses, "
+            "the controller's sample rate is unknown; state sample_rate_hz with the responses, "
             "or sample_time in [controller] of the machine file"
         )
     ran = None if running is None else running_law(running, plant, timing)
@@ -512,8 +512,9 @@ def check_measured(
     lost = own - before + open_ - count
     if lost < 0:
         raise InvalidInput(
-            f"the responses make {-lost} unstable poles less than none: the controller that ran is "
-            "another one, or a resonance lies between two lines; correct the one, sweep the other"
+            f"the responses make {-lost} unstable poles less than none: the running controller "
+            "is another one, or a resonance is between two lines; correct the controller, or "
+            "sweep closer"
         )
     checks = _checks(plant, label, lines, judged, lost, model, ran is not None)
     return replace(checks, notes=_notes(lines, judged, valid))

@@ -152,7 +152,7 @@ def unbalance_of(machine: Machine) -> Unbalance:
     residual = residual_unbalance(machine)
     if residual is None:
         raise InvalidInput(
-            "no balancing speed is known, so that no orbit can be judged; set "
+            "no balancing speed is known, so that no orbit can be checked; set "
             "requirements.balance_speed or a speed_range"
         )
     return residual

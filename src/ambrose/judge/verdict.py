@@ -439,7 +439,7 @@ def _unstable_when_sampled(plant: Plant, law: Law, timing: Timing | None) -> tup
             0.0,
             "<",
             False,
-            detail=f"nobody states the rate and the continuous loop was judged; {STATE_RATE}",
+            detail=f"no sample rate is stated, and the continuous loop was checked; {STATE_RATE}",
         ),
     )
 

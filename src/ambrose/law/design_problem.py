@@ -145,7 +145,7 @@ def performance_weight(
         bandwidth, "bandwidth", "give it in rad/s; 1/(peak T_i) for an integral time T_i [s]"
     )
     error = check_positive(
-        low_frequency_error, "low_frequency_error", "1e-3 stands for integral action"
+        low_frequency_error, "low_frequency_error", "1e-3 is close to integral action"
     )
     if peak <= 1:
         raise invalid(
@@ -156,7 +156,7 @@ def performance_weight(
         )
     if error >= 1:
         raise invalid(
-            "low_frequency_error", f"{error:g}", "below 1", "1e-3 stands for integral action"
+            "low_frequency_error", f"{error:g}", "below 1", "1e-3 is close to integral action"
         )
     return transfer_function([1 / peak, bandwidth], [1.0, bandwidth * error], "err", "z1")
 

@@ -116,7 +116,7 @@ def mat_table(variables: Mapping[str, Any]) -> dict[str, Any]:
     """The variables of a MAT-file, or the fields of its only struct that is a controller; several
     structs are channels.
 
-    What else a file holds is left out. Raises InvalidInput where it holds no controller.
+    What else a file holds is left out. Raises InvalidInput where it has no controller.
     """
     if not is_table(variables):
         structs = {
@@ -128,7 +128,7 @@ def mat_table(variables: Mapping[str, Any]) -> dict[str, Any]:
                 "variables or fields of a struct"
             )
             raise InvalidInput(
-                f"it holds no controller ({', '.join(variables) or 'nothing'}); {remedy}"
+                f"it has no controller ({', '.join(variables) or 'nothing'}); {remedy}"
             )
         inner = (
             next(iter(structs.values()))
@@ -263,7 +263,7 @@ def _facts(table: Mapping[str, Any], stated: Mapping[str, Any]) -> dict[str, Any
         if key != "axes" and own is not None and given is not None and own != given:
             raise InvalidInput(
                 f"{key} is {in_table[key]} in the file, and {stated[key]} was stated; leave out "
-                "what is wrong"
+                "the wrong one"
             )
         if (value := own if given is None else given) is not None:
             facts[key] = value
@@ -279,7 +279,7 @@ def _fact(key: str, value: Any) -> Any:
                 "input",
                 quoted(value),
                 "error (r - y) or displacement (y)",
-                "say what the controller takes",
+                "state the controller's input",
             )
         return value
     if key in ("input_unit", "output_unit"):
@@ -332,7 +332,7 @@ def _signals(kind: str, axes: Sequence[str]) -> list[str]:
 def _channels(channels: Any, dt: float | None) -> Iterator[_Channel]:
     """The channels of a table; the filters of one are in series. Raises InvalidInput."""
     if not isinstance(channels, dict):
-        raise InvalidInput("channels is no table; write the axes' names as its keys")
+        raise InvalidInput("channels is not a table; write the axes' names as its keys")
     for name, items in channels.items():
         source, arrow, target = (part.strip() for part in str(name).partition("->"))
         if not source or (arrow and not target):
@@ -596,7 +596,8 @@ def _flat(values: Any) -> list[Any]:
 def _listed(where: str, values: Any) -> Sequence[Any]:
     if not isinstance(values, list):
         raise InvalidInput(
-            f"{where}: {quoted(values)} is no list; write coefficients, zeros, poles and rows in "
+            f"{where}: {quoted(values)} is not a list; write coefficients, zeros, poles and "
+            "rows in "
             "brackets"
         )
     return values
@@ -631,7 +632,8 @@ def _number(where: str, value: Any) -> complex:
         number = complex(np.nan)
     if isinstance(value, bool) or not np.isfinite(number):
         raise InvalidInput(
-            f"{where}: {quoted(value)} is no finite number; write it as 3.5, or a complex one as "
+            f"{where}: {quoted(value)} is not a finite number; write it as 3.5, or a complex "
+            "one as "
             '"-20+5j"'
         )
     return number

@@ -509,7 +509,7 @@ def timing_of(
             "delay_samples",
             delay_samples,
             "given with a rate",
-            "say at which rate [Hz] the controller runs",
+            "state the controller's sample rate [Hz]",
         )
     overridden = delay_samples != timing.delay_samples and timing.source != "given"
     return Timing(

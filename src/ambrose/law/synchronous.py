@@ -738,8 +738,8 @@ def loop_pencils(
     """
     if loop.law.follows(SPEED):
         raise InvalidInput(
-            "a controller scheduled over speed is not proved with a synchronous block; give one "
-            "that is fixed over speed"
+            "stability of a controller scheduled over speed is not proved with a synchronous "
+            "block; use a controller that does not change with speed"
         )
     plant = loop.plant((low + high) / 2, condition)
     held = tolerances_around(plant) if tolerances is None else tuple(tolerances)

@@ -97,7 +97,7 @@ def attachment_of(part: Part) -> Any:
         if type(part) is item.part:
             return item
     known = ", ".join(item.part.__name__ for item in attachments().values())
-    raise TypeError(f"{type(part).__name__} is no part of a registered effect; known: {known}")
+    raise TypeError(f"{type(part).__name__} is not part of a registered effect; known: {known}")
 
 
 def attached(machine: MachineDescription) -> Iterator[tuple[Any, Any]]:

@@ -56,7 +56,7 @@ def check_source(path: Any, what: str) -> Path:
         )
     if endless:
         raise InvalidInput(
-            f"{path} is a file of the system that states no size; copy what it holds into a file "
+            f"{path} is a file of the system that states no size; copy its content into a file "
             "first"
         )
     return path
@@ -158,7 +158,8 @@ def draft_of(path: str | os.PathLike[str], what: str, new: bool = False) -> Iter
             os.replace(draft, target)
     except FileExistsError as error:
         raise InvalidInput(
-            f"{target.name} was written by another meanwhile and is kept; write it again"
+            f"{target.name} was written by another program during this run and is kept; run the "
+            "command again"
         ) from error
     except OSError as error:
         reason = error.strerror or str(error)
@@ -373,7 +374,9 @@ def check_place(directory: str | os.PathLike[str], names: Iterable[str] = ()) ->
     """
     target = check_path(directory, "folder")
     if os.path.lexists(target) and not target.is_dir():
-        raise InvalidInput(f"cannot write to {target}: it is no folder; give the path of one")
+        raise InvalidInput(
+            f"cannot write to {target}: it is not a folder; give the path of a folder"
+        )
     if not target.parent.is_dir():
         raise InvalidInput(
             f"cannot write to {target}: {target.parent} is not a directory; create it first"

@@ -342,8 +342,8 @@ def loaded(part: ThrustBearing, load: float, place: float) -> Loaded:
         towards = "right" if load < 0 else "left"
         raise InvalidInput(
             f"[[thrust_bearing]] {part.name} reaches {largest[load < 0]:,.4g} N to the {towards}, "
-            f"but the process thrust is {abs(load):,.4g} N: nothing holds the rotor; raise "
-            "max_current or the poles' areas, or correct the load"
+            f"but the process thrust is {abs(load):,.4g} N: the rotor cannot be levitated; "
+            "raise max_current or the poles' areas, or correct the load"
         )
     current = bracketed_root(lambda i: force(part, i, place) + load, -most, most, absolute=1e-14)
     left, right = sides(part)

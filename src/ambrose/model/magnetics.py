@@ -263,7 +263,7 @@ class MagneticNetwork:
                 f"the gap of {self.branches[at].name}",
                 f"{1e3 * (self.length[at] - closing[at]):.4g} mm",
                 "open",
-                "the rotor stands in the magnet: correct its place, or the gap",
+                "the rotor overlaps the magnet; correct its position, or the gap",
             )
         reluctance = self._linear - closing / (VACUUM_PERMEABILITY * self.area)
         drive = self.turns @ i + self._magnets
@@ -433,8 +433,8 @@ def linearity(
     check_positive(share, "the share of the gap", "0.25 is usual")
     if share >= 1:
         raise InvalidInput(
-            f"the share of the gap is {share:g}, but must be below 1: the rotor stands in the "
-            "magnet there; 0.25 is usual"
+            f"the share of the gap is {share:g}, but must be below 1, where the rotor touches "
+            "the magnet; 0.25 is usual"
         )
     full = bias if full is None else full
     x = np.linspace(-share, share, _POINTS) * gap

@@ -270,8 +270,7 @@ def _from_tree(tree: Any, name: str, path: Path, mark: str = ".") -> Variable:
     kind = kind.encode() if isinstance(kind, str) else kind
     if kind not in _NUMERIC or "MATLAB_object_decode" in node.attrs:
         raise InvalidInput(
-            f"the variable {name} holds no numbers, but must hold real ones in rows or columns; "
-            "save its parts"
+            f"the variable {name} is not an array of real numbers; save its parts as arrays"
         )
     if node.attrs.get("MATLAB_empty", 0):  # what is stored are its sizes
         return Variable(np.empty(0))
@@ -304,8 +303,8 @@ def _unpacked(node: Any, name: str, values: np.ndarray) -> np.ndarray:
         isinstance(value, (int, float, np.number)) for value in stated.values()
     ):
         raise InvalidInput(
-            f"the variable {name} states {', '.join(stated)} that are no single numbers; save it "
-            "unpacked"
+            f"the variable {name} states {', '.join(stated)} that are arrays, but must be "
+            "single numbers; save the variable unpacked"
         )
     missing = [values == stated[key] for key in ("_FillValue", "missing_value") if key in stated]
     factor, added = (
@@ -358,7 +357,7 @@ def _tdms(path: Path) -> Iterator[Callable[[str], Variable]]:
             values = (values - values[:1]) / np.timedelta64(1, "s")
             return Variable(values, "s")
         if values.dtype.kind not in "fiub":
-            raise InvalidInput(f"the channel {name} holds no real numbers; name another one")
+            raise InvalidInput(f"the channel {name} has no real numbers; name another channel")
         said = channel.properties
         begun = said.get("wf_start_time")
         step, start = (_stated(name, said, f"wf_{key}") for key in ("increment", "start_offset"))

@@ -90,7 +90,8 @@ def read_csv(path: Path) -> Record:
             raise
         except UnicodeDecodeError as error:
             raise InvalidInput(
-                "it is no CSV file of this package (it is not in UTF-8); give the column map of a "
+                "it is not a CSV file of this package (it is not in UTF-8); give the column map "
+                "of a "
                 "foreign log (--columns)"
             ) from error
         except ValueError as error:

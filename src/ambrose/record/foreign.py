@@ -279,7 +279,7 @@ def _on_one_time(
             "the start of the channels",
             f"{first:.9g} s ({early}) and {last:.9g} s ({late})",
             "the same, or whole samples apart in channels that share samples and need no [time]",
-            "resample them onto one time, or read each as a record of its own",
+            "resample them onto one time, or read each as a separate record",
         )
     moved = []
     for variable, cut in zip(variables, whole, strict=True):
@@ -321,8 +321,8 @@ def _check_lengths(columns: ColumnMap, variables: list[Variable], time: Variable
 def _check_finite(column: Column, variable: Variable, moment: Callable[[int], str]) -> None:
     if np.iscomplexobj(variable.values):
         raise InvalidInput(
-            f"{column.source} is a frequency response, no time signal; name it in a [[path]] of a "
-            "column map of responses"
+            f"{column.source} is a frequency response, not a time signal; name it in a [[path]] "
+            f"of a column map of responses"
         )
     if (sample := variable.bad) is not None:
         at = f"{column.source} at sample {sample}{moment(sample)}"

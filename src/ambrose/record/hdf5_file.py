@@ -378,7 +378,7 @@ def _check_beside(group: Any, size: int, h5py: Any) -> None:
     )
     if size - stored > BESIDE:
         raise invalid(
-            "what the file holds beside its signals",
+            "the size of the file's attributes",
             f"{size - stored} bytes",
             f"at most {BESIDE}",
             "remove it",

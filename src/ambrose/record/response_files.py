@@ -82,7 +82,7 @@ class PathColumns(Part):
             )
         if self.coherence and self.averages < 1:
             raise InvalidInput(
-                f"{name} has coherence, which tells nothing without the number of averages; add "
+                f"{name} has coherence, which cannot be used without the number of averages; add "
                 "averages, or leave coherence out"
             )
         unit_factor(self.quantity, self.unit)
@@ -205,7 +205,7 @@ def _own_map(path: File) -> ResponseMap:
     remedy = "add lines such as '# speed_rad_s: 0' above the header, or give a column map"
     for key in ("machine", "speed_rad_s", "seal_pressure_pa"):
         if not said.get(key):
-            raise InvalidInput(f"it does not say {key}; {remedy} (--columns)")
+            raise InvalidInput(f"it does not state {key}; {remedy} (--columns)")
     texts = {name: said[key] for key, name in POINT_KEYS.items() if key in said}
     label = texts.pop("label", "")
     try:
@@ -223,7 +223,7 @@ def _own_map(path: File) -> ResponseMap:
         match = _COLUMN.fullmatch(name)
         if match is None:
             raise InvalidInput(
-                f"the column {quoted(name)} does not say what was measured; write it as "
+                f"the column {quoted(name)} does not state its quantity; write it as "
                 "'S A_zeta gain [dB]' (quantity S, T, L, G, K or motion; axis read, /axis injected;"
                 f" {', '.join(_PARTS)}), or give a column map (--columns)"
             )
@@ -278,7 +278,7 @@ def _mapped(path: File, columns: ResponseMap) -> Response:
     for name in names:
         if name.startswith(ABSCISSA) and not np.allclose(data[name].values.real, axis, rtol=1e-6):
             raise InvalidInput(
-                "the datasets are over different frequencies; read each as responses of their own"
+                "the datasets are over different frequencies; read each as separate responses"
             )
     omega = _rates(frequency, data[frequency.source])
     paths = tuple(_path(item, data, omega) for item in columns.paths)
@@ -307,14 +307,15 @@ def _path(item: PathColumns, data: Mapping[str, Variable], omega: np.ndarray) ->
     def real(source: str) -> np.ndarray:
         values = data[source].values
         if np.iscomplexobj(values):
-            raise InvalidInput(f"{source} holds complex numbers; name it as source of {name}")
+            raise InvalidInput(f"{source} has complex numbers; name it as source of {name}")
         return values.astype(float)
 
     if item.source:
         values = data[item.source].values.astype(complex)
         if not np.iscomplexobj(data[item.source].values):
             raise InvalidInput(
-                f"{item.source} holds real numbers only; name gain and phase of {name}, or real "
+                f"{item.source} has real numbers only; state the columns of gain and phase of "
+                f"{name}, or real "
                 "and imag"
             )
     elif item.gain:
@@ -396,7 +397,7 @@ def _read_hdf5(path: File) -> Response:
     with opened(path) as file:
         if text(file.attrs.get("format", "")) != FORMAT or "frequency" not in file:
             raise InvalidInput(
-                f"it is no file of responses (format {FORMAT!r}); give a column map (--columns)"
+                f"it is not a file of responses (format {FORMAT!r}); give a column map (--columns)"
             )
         said = {key: text(file.attrs[key]) for key in file.attrs}
         omega = own_member(file, "frequency", "/frequency")

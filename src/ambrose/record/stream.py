@@ -76,7 +76,7 @@ def read_stream(path: Path) -> Record:
             "the file's size",
             f"{size} bytes",
             f"at most {9 * NUMBERS}",
-            "it is no record that was being written",
+            "it is not an unfinished record",
         )
     parts = blocks(path)
     kind, content = next(parts, (b"", b""))
@@ -341,7 +341,7 @@ class RecordWriter:
                     done += part.shape[1]
                 if done < self._written:
                     raise InvalidInput(
-                        f"{self.partial} does not give back what was written; check the disk"
+                        f"{self.partial} differs from what was written; check the disk"
                     )
         except InvalidInput as error:
             raise InvalidInput(

@@ -155,7 +155,7 @@ def _lines(path: Path) -> list[Cell]:
         raise InvalidInput('it is text in UTF-16 ("Unicode text"); save it as CSV in UTF-8')
     if b"\0" in data[:4096]:
         raise InvalidInput(
-            "it is no text; export the record as a text table, or as a file of MATLAB or LabVIEW"
+            "it is not text; export the record as a text table, or as a file of MATLAB or LabVIEW"
         )
     try:
         text = data.decode("utf-8-sig")
@@ -284,7 +284,7 @@ def universal(path: Path) -> Iterator[Find]:
     sets = list(_sets(path.read_bytes()))
     if not sets:
         raise InvalidInput(
-            "it holds no dataset 58 (function at a nodal degree of freedom); export time signals "
+            "it has no dataset 58 (function at a nodal degree of freedom); export time signals "
             "as such"
         )
 

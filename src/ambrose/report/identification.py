@@ -406,8 +406,9 @@ def _visible(measured: frf.Frf) -> frf.Frf:
 
 
 _PREDICTED = (
-    "Broad the second half of the record as measured, thin what the plant found in the first half "
-    "makes of it, one time constant 1/p ahead and with u known. A wrong pole runs away here."
+    "Broad: second half of the record, measured. Thin: predicted one time constant 1/p ahead by "
+    "the plant identified from the first half, with u known. With a wrong pole the prediction "
+    "diverges."
 )
 _COHERENCE = (
     "Share of the displacement's power that follows what drives the loop from outside: the "
@@ -443,9 +444,9 @@ def values_table(done: GenericIdentification) -> Table:
             )
         )
     note = (
-        "y'' = a y + b u(t - tau), p = sqrt(a), 95 %. The interval is the larger of the formal one "
-        "and of what both halves of the record differ by. Second way: instruments, "
-        "without a noise model. Without an actuator the delay holds all lags."
+        "y'' = a y + b u(t - tau), p = sqrt(a), 95 %. The interval is the larger of the formal "
+        "one and of the difference between both halves of the record. Second way: instruments, "
+        "without a noise model. Without an actuator the delay contains all lags."
     )
     columns = ("Quantity", "Value", "Formal", "Halves", "Second way")
     return Table("Plant", columns, tuple(rows), note)
@@ -577,14 +578,14 @@ def generic_page(done: GenericIdentification, *, date: str = "") -> Page:
         verdicts,
         facts,
         date,
-        result=Verdict("Result", not count, "to be doubted; see below" if count else good),
+        result=Verdict("Result", not count, "doubtful; see below" if count else good),
     )
 
 
 def _predicted(done: GenericIdentification) -> str:
     ahead = done.estimate.prediction
     error, promised = units.quantity(ahead.error, "m"), units.quantity(ahead.expected, "m")
-    return f"the second half, from the first: error {error}, promised {promised}"
+    return f"second half predicted from the first: error {error} (expected {promised})"
 
 
 def prediction_figure(done: GenericIdentification) -> Any:
@@ -627,9 +628,9 @@ def coherence_figure(done: GenericIdentification) -> Any:
 
 _LINEAR = 0.01  # probability below which the straight line is rejected
 _FIGURE = (
-    "Magnet force over control current, less the straight line: what is left at every load level, "
-    "with the cubic through the "
-    "levels. Points about zero mean a straight magnet; ends that bend down are iron that "
+    "Residual of magnet force over control current from the straight line, at every load level, "
+    "with the cubic through the levels. Points about zero mean a straight magnet; ends that "
+    "bend down are iron that "
     "saturates, a jump to one side "
     "friction or a stop; points above each other at one current were loaded across this axis. "
     "Bars: 95 % of the mean currents, "
@@ -661,7 +662,7 @@ def static_page(
         ),
         without_findings("Loads", result.warnings, "both sides, position held"),
     )
-    words = "to be doubted; see below" if count else "identified, and nothing speaks against it"
+    words = "doubtful; see below" if count else "identified, and nothing speaks against it"
     facts = (
         ("Records", ", ".join(checked.provenance.records)),
         ("Operating point", result.point.label),
@@ -868,7 +869,7 @@ def turning_table(result: ParameterEstimate) -> Table:
         for scale, unit in ((1e6, "µm") if one.signal.startswith("y_") else (1.0, "A"),)
     ]
     note = (
-        "Amplitude and phase (cosine, from the first sample) beside all that follows the "
+        "Amplitude and phase (cosine, from the first sample) of what does not follow the "
         "excitation, ± 95 %. Motion that "
         "unbalance makes and run-out of the sensor's surface are one number here."
     )
@@ -928,8 +929,8 @@ def repeats_table(repeats: Repeats) -> Table:
     note = (
         f"{repeats.count} records, each identified alone. Interval of the mean: Student's t. RSD: "
         "scatter of one record over "
-        "the mean; where it is far above what the single records state, something else than noise "
-        "changes between them."
+        "the mean; where it is far above the deviation stated by single records, something "
+        "other than noise changes between them."
     )
     columns = ("Parameter", "Mean", f"{100 * repeats.level:g} % interval", "RSD", "RSD stated")
     return Table("Repeats", columns, tuple(rows), note)
@@ -947,7 +948,7 @@ def seal_table(fit: SealFit) -> Table:
         rows.append(tuple(cells))
     note = (
         "95 % interval of what noise leaves open, all else as identified. K and c, and k and C, "
-        "act alike at one frequency."
+        "have the same effect at one frequency."
     )
     columns = ("Pressure", *COEFFICIENTS)
     return Table(f"Seal {units.axis_name(fit.seal)} by pressure", columns, tuple(rows), note)
@@ -984,11 +985,10 @@ def seal_lines_table(fit: SealFit) -> Table:
             )
         )
     note = (
-        "95 % by Student's t. Next: half-width of the band for a further measurement, at its "
-        "widest up to the highest pressure "
-        "measured; the machine file's tolerance is this band over all operating points. Scatter: "
-        "of the points about the line "
-        "over what each states; above 1 the bands are widened by it."
+        "95 % by Student's t. Next: largest half-width of the prediction band up to the highest "
+        "pressure measured; the machine file's tolerance is this band over all operating "
+        "points. Scatter: observed scatter about the line over the stated standard deviation; "
+        "above 1 it widens the bands."
     )
     columns = ("Coefficient", "At zero pressure", "Slope", "Next", "Scatter")
     return Table(
@@ -1013,7 +1013,7 @@ def compared_table(rows: Sequence[Agreement]) -> Table:
         why = (
             ("noise" if row.agree else "more than noise")
             if row.other_half_width
-            else "the other states no interval"
+            else "the other result has no interval"
         )
         cells.append((row.path, *numbers(*pair, difference), why))
     note = (
@@ -1041,45 +1041,43 @@ _TITLES = {
     "youla": "Identification through the Youla residual",
 }
 _RESIDUAL = (
-    "The residual system S from alpha to eps: what the machine does beyond what was expected of "
-    "its model. Measured without a "
-    "model (95 % band), and S at the parameters found. Where the band stands above the line, the "
-    "parameters do not explain the "
-    "difference; where it reaches the bottom, there is none to be seen."
+    "The residual system S from alpha to eps: the difference of the machine from its model. "
+    "Measured without a "
+    "model (95 % band), and S at the parameters found. Where the band is above the line, the "
+    "parameters do not explain the difference; where it reaches the bottom, no difference is "
+    "visible."
 )
 _CHANGE = (
     "How far the records moved every parameter from the machine file's value, with the 95 % "
     "interval of what was found."
 )
 _TIME = (
-    "Broad the measurement, thin the identified model, and what is left between them. The residual "
+    "Broad: measured. Thin: the identified model. Third: the residual. The residual "
     "should look like noise. "
 )
 _WHOLE = (
-    "What the model leaves, on its own scale; written above: its size beside that of the signal. "
-    "It should be equally small "
-    "throughout: a single burst is a knock, contact or lost samples, bursts to one side at every "
+    "Residuals of the model, on their own scale; the title gives their size and that of the "
+    "signal. They should be equally small throughout: a single burst is a knock, contact or "
+    "lost samples, bursts to one side at every "
     "large motion are the magnets' "
     "curvature, a slow growth is a drift."
 )
 _FRF = (
     "Displacement per current command on each axis, measured in closed loop with the excitation "
     "as instrument (no bias by "
-    "feedback), with its 95 % band, and the model before and after. Third row: the model's error "
-    "beside the "
-    "measurement's own (pale). Trust what is measured where the coherence is near 1. "
+    "feedback), with its 95 % band, and the model before and after. Third row: the model's "
+    "error and the measurement's own (pale). Trust what is measured where the coherence is near 1. "
 )
 _SEAL = (
     "Points are the identified coefficients; from three pressures on, the line is the weighted "
-    "regression, the dark band holds "
-    "the true line, the pale one the next measurement. k decides stability: compare it with C "
+    "regression, the dark band contains the true line, the pale one the next measurement. k "
+    "decides stability: compare it with C "
     "times the whirl frequency."
 )
 _CORRELATION = (
     "Left: how errors of two parameters go together; near ±1 only their combination is known. "
-    "Right: how alike their effects "
-    "on the signals are (cosine between columns of the Jacobian); it is no correlation, and "
-    "mostly of the other sign. Values "
+    "Right: cosine between the parameters' effects on the signals (columns of the Jacobian); "
+    "not their correlation, mostly of the other sign. Values "
     "below 0.1 carry no number."
 )
 _TESTS = (
@@ -1142,7 +1140,7 @@ def identification_page(
     failed = [verdict.label.lower() for verdict in verdicts if verdict.passed is False]
     traced = any(not test.passed for test in result.tests)
     good = (
-        "identified; what the model lacks hardly moves the values"
+        "identified; the errors of the model hardly move the values"
         if traced
         else "identified, and nothing speaks against it"
     )
@@ -1273,7 +1271,7 @@ def _facts(checked: LoopIdentification) -> tuple[tuple[str, str], ...]:
 
 
 _FREQUENCY = (
-    "Every pressure and frequency by itself, with 95 % bars; lines: the means over frequency. "
+    "Each pressure and frequency separately, with 95 % bars; lines: the means over frequency. "
     "Grey crosses: what shows without "
     "pressure beyond the machine file's seal, from bearings and couplings a little off, and is "
     "taken off all points."

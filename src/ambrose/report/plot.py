@@ -282,7 +282,7 @@ def _sensitivity(points: Sequence[tuple[str, Checks]], verdict: str) -> Any:
                 figure(curves, order=order), f"{units.prose(curves[0][1].title)}: {verdict}{words}"
             )
     raise InvalidInput(
-        "the verification holds no curves to draw; verify again with nominal.check or robust.check"
+        "the verification has no curves to draw; verify again with nominal.check or robust.check"
     )
 
 
@@ -424,8 +424,8 @@ def _study(study: Any) -> Any:
     figures = loop_figures(candidates, points_of(study.machine, candidates))
     if not figures:
         raise InvalidInput(
-            "no controller of the study holds the machine anywhere, so there is no curve to "
-            "compare; see its checks"
+            "no controller of the study stabilises the machine at any point, so there is no "
+            "curve to compare; see its checks"
         )
     words = decision(candidates).text.partition(";")[0].rstrip(".")
     return _titled(

@@ -555,9 +555,9 @@ _CAPTIONS = {
     "radius": "The decisive picture: how near the shaft comes to the touchdown bearings, and "
     "whether the motion dies out, "
     "stays or grows.",
-    "u": "What the controller asks for, after its limit. Flat tops at the limit mean that the "
+    "u": "Commanded current, after its limit. Flat tops at the limit mean that the "
     "loop is open there.",
-    "i": "What flows in the coils beside the bias.",
+    "i": "Current in the coils without the bias.",
     "f_magnet": "Force of every magnet pair on the rotor; its mean carries the weight and the "
     "static loads.",
     "y": "As measured, with noise and run-out.",

@@ -175,7 +175,7 @@ def without_findings(label: str, findings: Sequence[Any], good: str, *, see: str
 def believed(verb: str, findings: Sequence[Any]) -> Verdict:
     """How a measured result turned out: "identified, and nothing speaks against it"."""
     words = (
-        f"{verb}, but to be doubted: see the findings"
+        f"{verb}, but doubtful: see the findings"
         if findings
         else f"{verb}, and nothing speaks against it"
     )

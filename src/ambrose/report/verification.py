@@ -340,12 +340,12 @@ def _draw(
 
 _WORDS = (
     "A synchronous block takes one signal of the unbalance to zero while the rotor turns. "
-    "Lines without the block are the loop as the other pages judge it; lines with it hold once "
-    "it has converged. Between two pieces of a line the block is off.\n\n"
+    "Without the block: the loop as on the other pages. With the block: after it has converged. "
+    "Between two pieces of a line the block is off.\n\n"
     "Unbalance is what the balance grade leaves, in the bearing planes, shared as is worst; of "
     "all seal pressures the worst one is drawn. The margin has a line for every pressure: it is "
     "the angle by which all phases of the loop may be off before a block of small gain "
-    "diverges. The tables say over what it is proved, and what was only sampled."
+    "diverges. The tables state the range of the proof, and what was only sampled."
 )
 
 
@@ -417,8 +417,8 @@ _PULSES = (
 _UNBALANCE = (
     "Largest orbit at a bearing over speed, for the worst distribution of the residual unbalance: "
     "nominal, and the worst found "
-    "over the tolerances. That is a search; the upper bound, where it was asked for, is proved at "
-    "these speeds."
+    "over the tolerances. Found by search; the upper bound, if requested, is proved at these "
+    "speeds."
 )
 _SCALE = ((0.0, "#56b4e9"), (0.5, "#009e73"), (1.0, "#d55e00"))
 _BAND, _HEIGHT_EXPLORATION = "rgba(130,89,174,0.25)", 190
@@ -483,8 +483,8 @@ def exploration_page(exploration: Exploration, *, date: str = "") -> Page:
         late = f"{DEFAULT.rate:g} Hz and one sample late, as virtual rig and export assume"
         lost = (
             f"unstable at {late}: {', '.join(item.label for item in exploration.assumed)} (at most "
-            f"{worst.abscissa:+.4g} 1/s); nobody states the rate and the continuous loop was "
-            f"judged; {STATE_RATE}"
+            f"{worst.abscissa:+.4g} 1/s); no sample rate is stated, and the continuous loop was "
+            f"checked; {STATE_RATE}"
         )
         verdicts.insert(1, Verdict("As it would run", False, lost))
     words = (

@@ -63,8 +63,8 @@ def parts_of(controller: LawLike, axial: LawLike | None) -> Parts | None:
     beside = law_of(axial)
     if program is not None or beside.program is not None:
         raise InvalidInput(
-            "a program of the radial axes alone does not run beside an axial controller; compile "
-            "both as one (code.compiled_axes.CompiledAxes), or give their laws"
+            "a program of the radial axes alone does not run with an axial controller; compile "
+            "both together (code.compiled_axes.CompiledAxes), or give their laws"
         )
     if law.scheduled_over is not None or beside.scheduled_over is not None:
         raise InvalidInput(
@@ -97,8 +97,8 @@ def run(
     """
     if not machine.has_axis:
         raise InvalidInput(
-            f"{machine.name} has no thrust bearing beside its radial ones; leave the axial "
-            "controller out, and take a machine file without #axial"
+            f"{machine.name} has no thrust bearing; leave the axial controller out, and use a "
+            "machine file without #axial"
         )
     if scenario.switch_at is not None:
         raise InvalidInput(

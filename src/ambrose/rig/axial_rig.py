@@ -322,8 +322,9 @@ def begin(
         ends = (-0.9 * min(part.gap[0], c.body[4]), 0.9 * min(part.gap[1], c.body[5]))
         if not left(ends[0]) > 0 > left(ends[1]):
             raise NumericalFailure(
-                "there is no levitated state to start from: the controller's static stiffness does "
-                "not hold the process thrust; raise its gain, add integral action, or begin resting"
+                "there is no levitated state to start from: the controller's static stiffness "
+                "does not carry the process thrust; raise its gain, add integral action, or "
+                "begin resting"
             )
         place = float(brentq(left, *ends, xtol=1e-15))
         error = -gain * (place - c.body[3])

@@ -128,7 +128,7 @@ def samples_in(length: float, dt: float, what: str) -> int:
             f"choose a shorter sample time, or a multiple of it ({least} and more are met well "
             "enough)"
         )
-        raise invalid(what, f"{length:g} s", f"within a tenth of whole samples of {dt:g} s", remedy)
+        raise invalid(what, f"{length:g} s", f"a multiple of {dt:g} s, to a tenth of it", remedy)
     return count
 
 
@@ -360,8 +360,8 @@ def check_scenario(scenario: Scenario, along: Scheduling = PRESSURE) -> None:
     if unsupported := [item for item in scenario.only_for_the_rig if item not in known]:
         what = ", ".join(unsupported)
         raise InvalidInput(
-            f"scenario {scenario.name} has {what}, which a linear model does not know; run it on "
-            "the virtual rig"
+            f"scenario {scenario.name} has {what}, which a linear model does not have; run it "
+            "on the virtual rig"
         )
 
 

@@ -712,7 +712,9 @@ def bundled_scenarios() -> dict[str, str]:
 def scenario_text(name: str) -> str:
     """The file of a bundled scenario. Raises InvalidInput for another name."""
     if name not in _bundled_names():
-        raise InvalidInput(f"{name} is no bundled scenario; {suggestion(name, _bundled_names())}")
+        raise InvalidInput(
+            f"{name} is not a bundled scenario; {suggestion(name, _bundled_names())}"
+        )
     return (
         files("ambrose")
         .joinpath("rig", "scenarios", f"{name}.toml")

@@ -67,8 +67,8 @@ def sampled_schedule(machine: Machine, law: Law, sample_time: float) -> SampledS
     along, schedule = law.scheduled_over, law.schedule
     if along is None or schedule is None:
         raise InvalidInput(
-            "synchronous blocks are simulated beside a fixed controller, or one that is scheduled "
-            "on a grid; give its matrices on a grid, or leave the blocks out of its file"
+            "synchronous blocks are simulated with a fixed controller, or one scheduled on a "
+            "grid; give its matrices on a grid, or leave the blocks out of its file"
         )
     axes = tuple(interval_points(axis, _BETWEEN) for axis in schedule.axes)
     design = machine.operation.design
@@ -205,8 +205,8 @@ def beside_law(
     """
     if law.program is not None:
         raise InvalidInput(
-            "synchronous blocks are simulated beside a controller's matrices, not beside a "
-            "program; leave them out, or export both to C and run that"
+            "synchronous blocks are simulated with a controller's matrices, not with a program; "
+            "leave them out, or export both to C and run that"
         )
     loop = synchronous_loop(machine, law, timing.rate, timing.delay_samples)
     sampled, dt = loop.controller(assemble(machine, start)), loop.timing.sample_time

@@ -187,7 +187,7 @@ def _all_axes(
     for name in ("linear", "fallback", "second"):
         if getattr(asked, name):
             raise invalid(
-                f"{name} beside an axial controller",
+                f"{name} with an axial controller",
                 "given",
                 "left out: all axes run on the nonlinear rig with one controller each",
                 "leave it out, or run the parts one by one",

@@ -387,8 +387,8 @@ def advance_motion(
             raise running.failure
         if running is not None and np.isfinite(motion.z.sum()):
             raise NumericalFailure(
-                f"the program gave up after {done} samples of this stretch; look at what it "
-                "returned"
+                f"the controller's program stopped after {done} samples of this run; check its "
+                "return value"
             )
     # a state that overflowed ends in the row after the last that was done
     kept = within_bounds(log[: done + 1])

@@ -114,8 +114,8 @@ class Weighted(Lowered):
 
     bending_modes: int | None = option(
         None,
-        "Bending modes per plane in the design model; default: those without which a design does "
-        "not hold the full plant.",
+        "Bending modes per plane in the design model; default: those without which a design "
+        "does not stabilise the full plant.",
         check=count("0 designs for the rigid rotor"),
     )
     match_reference: bool | None = option(

@@ -253,7 +253,7 @@ def find_lowest_order(
     reference = measure(controller)
     if not np.isfinite(reference):
         raise UnstableSystem(
-            "the controller to be lowered is unstable in its loop; lower one that holds it"
+            "the controller to be lowered is unstable in its loop; give one that stabilises it"
         )
     limit = (1 + loss) * reference
     best, found = controller, reference

@@ -321,7 +321,7 @@ def check_base_loop(
                 f"{condition.label}",
                 f"{abscissa:+.4g} rad/s, {loop.timing}",
                 "negative",
-                "design a controller that holds the machine there first (ambrose synthesize)",
+                "first design a controller that stabilises the machine there (ambrose synthesize)",
             )
 
 

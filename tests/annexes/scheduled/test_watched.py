@@ -205,5 +205,5 @@ def test_refusals():
         two = replace(RIG, seals=(RIG.seals[0], replace(RIG.seals[0], name="second")))
         simulate_scenario(two, SCHEDULE, events(0.5), **given)
     bent = replace(RIG, tolerances=(), seals=(replace(RIG.seals[0], scales_with_pressure=()),))
-    with pytest.raises(InvalidInput, match="no monitor tells the pressure"):
+    with pytest.raises(InvalidInput, match="no monitor estimates the pressure"):
         simulate_scenario(bent, SCHEDULE, events(0.5), **given)

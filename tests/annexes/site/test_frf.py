@@ -105,7 +105,7 @@ def test_a_clean_sweep_is_measured_without_a_doubt(place):
     page = (folder / "page.html").read_text()
     assert (
         "Sensitivity" in page
-        and "How far the model holds" in page
+        and "Agreement of model and measurement" in page
         and "Coherence" not in page.split("<body")[0]
     )
 
@@ -146,7 +146,7 @@ def test_refusals(place, tmp_path):
     still = record.select([n for n in record.signals if n[:2] != "e_"])
     write_record(still, tmp_path / "still.h5")
     done = call("frf", name, tmp_path / "still.h5")
-    assert done.exit_code == 2 and "hold no excitation" in done.stderr
+    assert done.exit_code == 2 and "have no excitation" in done.stderr
     write_record(record.select(record.signals[1:]), tmp_path / "lacks.h5")
     done = call("frf", name, tmp_path / "lacks.h5")
     assert done.exit_code == 2 and "lacks y_" in done.stderr

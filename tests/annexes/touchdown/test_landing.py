@@ -156,7 +156,7 @@ def test_what_was_not_met_costs_nothing():
 
 def test_page_and_command(landed, tmp_path):
     html = render(page_of(landed))
-    for words in ("Slow motion", "Many drops", "ISO 14839-5", "no statement on stability"):
+    for words in ("Slow motion", "Many drops", "ISO 14839-5", "not a statement on stability"):
         assert words in html
     path = tmp_path / "weak.toml"
     machine = amb.load_machine("overhung-blower")  # in fixed bushes

@@ -146,7 +146,7 @@ def _frame(data, code=1, masked=True, length=None):
 
 # frames, and how the socket ends: None: it stays open and the page is told in words
 FRAMES = {
-    "no JSON": (_frame(b"{not json"), None),
+    "not a JSON": (_frame(b"{not json"), None),
     "a list": (_frame(b"[" * 3000), None),
     "no order": (_frame(b'{"do": "__class__"}'), None),
     "too many words": (_frame(b'"' + b"y" * 60_000 + b'"'), None),

@@ -671,7 +671,7 @@ def test_what_is_typed_over_a_value_that_changed_is_neither_lost_nor_written(
     kept = (folder / "machine.toml").read_text()
     assert "renamed" in kept and text.input_value() == mine
     page.locator("details[open]").get_by_role("button", name="Save").last.click()
-    until(page, "document.querySelector('#note').textContent.includes('changed meanwhile')")
+    until(page, "document.querySelector('#note').textContent.includes('has changed since')")
     assert (folder / "machine.toml").read_text() == kept and text.input_value() == mine
     page.get_by_role("button", name="Reload").click()
     until(page, "(text) => document.querySelector('textarea').value === text", arg=kept)
@@ -689,7 +689,7 @@ def test_two_browsers_see_one_project(tour, server, chromium, folder):
     text = texts[0].input_value()
     texts[0].fill("# by the first\n" + text)
     texts[1].fill("# by the second\n" + text)
-    for page, word in ((one, "is saved"), (other, "changed meanwhile")):
+    for page, word in ((one, "is saved"), (other, "has changed since")):
         page.locator("details[open]").get_by_role("button", name="Save").click()
         until(
             page, "(word) => document.querySelector('#note').textContent.includes(word)", arg=word

@@ -206,7 +206,7 @@ def test_a_page_gets_frames_and_refusals_over_the_socket(project):
     tokens = []
     browser = Client(build(project, [HOST], tokens.append))
     browser.enter(tokens[0])
-    said = ["no JSON", {"do": "knock", "station": "C", "x": 1, "y": 0}, "x" * 5000]
+    said = ["not a JSON", {"do": "knock", "station": "C", "x": 1, "y": 0}, "x" * 5000]
     frames = []
 
     def enough(message):

@@ -76,7 +76,7 @@ def test_of_two_edits_of_one_text_the_second_is_told(project):
     save(project, told["stamp"], bearing__0__max_current="7 A")
     first = project.machine.read_bytes()
     for action in ("save", "write"):
-        with pytest.raises(Refusal, match="changed meanwhile") as refused:
+        with pytest.raises(Refusal, match="has changed since") as refused:
             given = {"stamp": told["stamp"], "text": "", "bearing.0.max_current": "8 A"}
             answer(project, "machine", action, given)
         assert refused.value.content["stale"]

@@ -316,7 +316,10 @@ def test_sections_that_do_nothing_or_cannot_be_seen(gain):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda bank: None, "no bank of filters, whose sections a cascade needs; design one"),
+        (
+            lambda bank: None,
+            "a cascade needs a bank of filters, and this controller is not one; design one",
+        ),
         (lambda bank: replace(bank, channels=bank.channels[::-1]), None),
         (louder, "not the one that its filters give on this machine"),
     ],

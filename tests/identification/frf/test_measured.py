@@ -163,7 +163,7 @@ def test_what_cannot_be_told():
     name = "seal-rig"
     axes = machine(name).axes
     silent = record(name, 1.0)
-    with pytest.raises(InvalidInput, match="hold no excitation"):
+    with pytest.raises(InvalidInput, match="have no excitation"):
         measure([silent], axes)
     chirp = record(name, 4.0, chirps=(Chirp(f"e_{axes[0]}", 0.05, 5 * HZ, 300 * HZ),))
     with pytest.raises(InvalidInput, match="does not repeat"):

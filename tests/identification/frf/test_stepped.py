@@ -77,7 +77,7 @@ def test_what_cannot_be_told_is_refused():
     one = record(e_A=e, e_B=e, y_A=e)
     with pytest.raises(InvalidInput, match="in as many ways as there are inputs, 2"):
         stepped([one], ["e_A", "e_B"], "y_A")
-    with pytest.raises(InvalidInput, match="drive the inputs alike"):
+    with pytest.raises(InvalidInput, match="drive all inputs with the same pattern"):
         stepped([one, one], ["e_A", "e_B"], "y_A")
     slow = record(e_A=np.sin(3 * HZ * np.arange(6000) * DT), y_A=e)
     with pytest.raises(InvalidInput, match="in as many ways"):

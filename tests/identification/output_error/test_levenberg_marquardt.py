@@ -13,7 +13,7 @@ def valley(refused, seen):
     def linearise(x):
         seen.append(x.copy())
         if refused(x):
-            raise InvalidInput("these records say nothing about b")
+            raise InvalidInput("these records do not determine b")
         r = np.array([1 - x[0], 10 * (x[1] - x[0] ** 2)])
         J = np.array([[1.0, 0.0], [20 * x[0], -10.0]])  # of the model, r = data - model
         return Linearised(float(r @ r), J.T @ J, J.T @ r)

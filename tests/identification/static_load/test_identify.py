@@ -278,7 +278,7 @@ def unsteady(record):
             {},
             "axis A_eta carries no load .* load the rotor along every actuator axis",
         ),
-        (lambda r: r.select(r.signals[:8]), {}, "hold no load.*force transducer"),
+        (lambda r: r.select(r.signals[:8]), {}, "have no load.*force transducer"),
         (
             lambda r: straight(hold=0.3),
             {},

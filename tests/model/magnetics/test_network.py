@@ -218,7 +218,7 @@ def test_a_measured_curve_is_the_curve_it_was_taken_from():
 
 
 def test_refusals():
-    with pytest.raises(InvalidInput, match="the rotor stands in the magnet"):
+    with pytest.raises(InvalidInput, match="the rotor overlaps the magnet"):
         MAGNETS["8 poles"].at(I_0, place=[0.6e-3, 0.0])
     with pytest.raises(InvalidInput, match="no closed path"):
         MagneticNetwork([Branch(0, 1, A, S)], [[1.0]])

@@ -234,7 +234,7 @@ def test_mixed_quantities_are_refused() -> None:
     )
     with pytest.raises(InvalidInput, match="different figures"):
         plots.figure([("one", good), ("two", replace(good, y_unit="m"))])
-    with pytest.raises(InvalidInput, match="without curves"):
+    with pytest.raises(InvalidInput, match="has no curves"):
         plots.figure([])
 
 

@@ -275,9 +275,9 @@ def test_another_methods_values_stand_beside(done):
     rows = compare(checked.result, machine)
     table = identification_page(checked, compared=rows).sections[0].tables[-1]
     assert table.title == "Beside the other file" and len(table.cells) == len(checked.result.paths)
-    assert table.cells[0][4].text == "the other states no interval"
+    assert table.cells[0][4].text == "the other result has no interval"
     # of the seal's k: the file states the pressure's
-    assert table.cells[-1][4].text == "the other states no interval"
+    assert table.cells[-1][4].text == "the other result has no interval"
 
 
 def test_not_converged_is_not_sure(done):

@@ -30,7 +30,7 @@ _REASONS = 5  # why cases failed, the most frequent ones
 )
 @click.option("--workers", type=click.IntRange(1, 4096), help="Default: one for each processor.")
 @click.option(
-    "--most", type=click.IntRange(0), help="At most so many cases now; the next run goes on."
+    "--most", type=click.IntRange(0), help="At most this many cases now; the next run continues."
 )
 @click.option(
     "--pages",
@@ -52,7 +52,7 @@ def campaign(
     """Compute a plan of many cases: anything varied in machine, controller, scenario and operating
     point.
 
-    Rows are kept as they come: a run that was interrupted or killed goes on where it was. Leaves
+    Rows are kept as they come: an interrupted run continues where it stopped. Leaves
     rows.jsonl, table.csv, results.nc (with xarray) and report.html in the folder. Exit status 1: a
     case has no values, is unstable or does not pass.
     """

@@ -266,7 +266,7 @@ def plan_of(document: Mapping[str, Any], folder: Path = Path()) -> Plan:
         ("options", document.get("options", {})),
     ):
         if not isinstance(table, Mapping):
-            raise InvalidInput(f"{name} is no table; write [{name}]")
+            raise InvalidInput(f"{name} is not a table; write [{name}]")
     for key, value in head.items():
         if key not in _KEYS:
             raise InvalidInput(f"[campaign]: unknown key {key!r}; {suggestion(key, _KEYS)}")
@@ -358,7 +358,7 @@ def _variable(path: str, given: Any, grid: bool) -> Variable:
         )
     if times and first not in {"machine", "scenario"}:
         raise InvalidInput(
-            f'[vary] "{path}": only what stands in a machine or scenario file takes times = true; '
+            f'[vary] "{path}": times = true is for values of a machine or scenario file; '
             "leave it out"
         )
     count = given.get("count")

@@ -440,7 +440,7 @@ def executors(engine: str, workers: int) -> Iterator[tuple[MakeExecutor, int]]:
     """
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         raise InvalidInput(
-            "a campaign cannot start while a worker process imports the script that it stands in;"
+            "a campaign cannot start while a worker process imports the script that starts it;"
             ' put the call below `if __name__ == "__main__":`'
         )
     if not isinstance(workers, int) or isinstance(workers, bool) or workers < 1:

@@ -676,8 +676,8 @@ def _point(machine: Machine, point: OperatingPoint | str | None) -> OperatingPoi
         chosen = max(machine.operation.envelope, key=lambda item: item.speed)
     if chosen.speed <= 0:
         raise InvalidInput(
-            f"the operating point {chosen.label or 'given'} stands still, but a lateral analysis "
-            "needs a turning rotor; give the point at maximum continuous speed"
+            f"the operating point {chosen.label or 'given'} is at standstill, but a lateral "
+            "analysis needs a turning rotor; give the point at maximum continuous speed"
         )
     return chosen
 

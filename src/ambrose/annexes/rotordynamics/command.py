@@ -92,7 +92,7 @@ def lateral_command(
     Unbalance response with API's amounts placed for every mode, separation margins, vibration
     limit, clearances up to trip, stability Level I and II with each component's share, and
     load capacity. Clauses are recalled, not read from the standards, and marked so. Exit status 1:
-    a row fails, or one that the standard asks for was not done.
+    a requirement is not met, or one that the standard requires was not checked.
     """
     from ambrose.annexes.rotordynamics.analysis import lateral
     from ambrose.annexes.rotordynamics.comparison import compare, read_theirs
@@ -163,7 +163,7 @@ def lateral_command(
 @click.option("--within", type=float, help="The largest difference that is accepted [%].")
 @AS_JSON
 def compare_command(mine: Path, theirs: Path, within: float | None, as_json: bool) -> None:
-    """A lateral analysis beside another code's results, or measured ones.
+    """Compare a lateral analysis with another code's results, or with measured ones.
 
     MINE is the lateral.json of `ambrose lateral --data`; THEIRS a table (*.csv) with the columns
     kind (critical, mode or response), speed [rpm], amplitude [um p-p], amplification [-],

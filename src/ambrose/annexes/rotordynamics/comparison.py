@@ -96,7 +96,7 @@ def _si(column: Column, number: float) -> float:
     length, _, peak = column.unit.rpartition(" ")
     if peak not in _PEAKS:
         raise InvalidInput(
-            f'the unit of amplitude is "{column.unit}", but must say whether it is peak to peak or '
+            f'the unit of amplitude is "{column.unit}", but must state peak to peak or '
             'zero to peak; write "amplitude [um p-p]" or "amplitude [um 0-p]"'
         )
     return replace(column, unit=length).si(number, "length", "um p-p") * _PEAKS[peak]
@@ -524,7 +524,7 @@ def _data(source: Lateral | Mapping[str, Any] | str | Path, side: str) -> Mappin
     if "response" not in data:
         raise InvalidInput(
             f"{name} has no unbalance response, as its loop is unstable or as an earlier version "
-            "wrote it; run ambrose lateral again, with a controller that holds the rotor"
+            "wrote it; run ambrose lateral again, with a controller that stabilises the rotor"
         )
     if not isinstance(source, Lateral):
         try:

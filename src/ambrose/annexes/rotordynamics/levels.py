@@ -132,7 +132,7 @@ def sweep(
     if abscissa(0.0) >= 0:
         raise NumericalFailure(
             "the loop is unstable without cross-coupling (no seals, no stages), so that Level I "
-            "has no border to find; give a controller that holds the bare rotor"
+            "has no stability limit to find; give a controller that stabilises the bare rotor"
         )
     if anticipated is None:
         end = 1e4

@@ -39,7 +39,7 @@ from ambrose.report.tables import assumed_table
 
 UM, MM = 1e6, 1e3  # um, mm per m
 _MARKERS = {UNBALANCE: "circle", PART: "circle-open", IMPULSE: "diamond", SURGE: "square"}
-_KINDS = {PART: "part of it: seals, stages"}
+_KINDS = {PART: "contribution of seals and stages"}
 _SHADES = ("#d55e00", "#009e73", "#cc79a7", "#e69f00")
 _FAR = 3.0  # a limit this many times above the readings would press them to the ground
 _EVERY = 5  # of the fine grid: enough for the eye
@@ -224,7 +224,7 @@ def _short(item: Support) -> str:
     """A support in a legend: its axes, or the first and how many are like it."""
     words = "|K(jω)| " if item.magnetic else ""
     names = item.axes
-    return words + (item.name if len(names) <= 4 else f"{names[0]} and {len(names) - 1} alike")
+    return words + (item.name if len(names) <= 4 else f"{names[0]} and {len(names) - 1} others")
 
 
 def placement_figure(layout: Layout, response: Response) -> Any:
@@ -620,8 +620,8 @@ def _judged_elsewhere(result: Lateral) -> str:
     if len(result.machine.operation.envelope) < 2:
         return ""
     if not any(item.name.startswith("points.") for item in result.items):
-        return "; the others of the machine file are not judged here"
-    return "; at all others of the machine file stability and sensitivity alone"
+        return "; the other requirements of the machine file are not checked here"
+    return "; at all other points of the machine file only stability and sensitivity"
 
 
 def rotor_table(result: Lateral) -> Table:
@@ -921,7 +921,7 @@ def clearance_table(result: Lateral) -> Table:
     note = (
         f"Scale factor {capped:.3g} (uncapped {_number(uncapped)}); permitted for motion and "
         "static offset of both sides: 75 % of the diametral clearance, unless the machine file "
-        "says otherwise."
+        "states another limit."
     )
     title = "Motion at the close clearances"
     if result.response is not None:

@@ -111,7 +111,7 @@ def monitor(
 ) -> None:
     """A seal against time, with 95 % intervals, from the running loop and a small excitation.
 
-    RECORD holds y_<axis>, u_<axis> and the excitation e_<axis> (0.02 A on every axis will do),
+    RECORD contains y_<axis>, u_<axis> and the excitation e_<axis> (0.02 A on every axis will do),
     CONTROLLER is the one that ran. Exit status 1: done, but the seal changes, leaves the range of
     the machine file's tolerances, contradicts the pressure given, or nothing can be said.
     """

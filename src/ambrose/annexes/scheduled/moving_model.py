@@ -462,7 +462,7 @@ def choose_model(
     """
     wanted = _peaks(MovingModel(full, span, law, lag), pairs)
     if not np.isfinite(wanted).all():
-        raise UnstableAtRest("a pressure that stands still is unstable on the full plant")
+        raise UnstableAtRest("the loop at a constant pressure is unstable on the full plant")
     off, worst = np.inf, int(np.argmax(wanted))
     for modes in _MODES:
         model = MovingModel(reduce(full, modes, static_correction=False), span, law, lag)

@@ -410,7 +410,7 @@ def check_speed(
     try:
         moving = moving_law(law, plant)
         if timing is None and moving.dt is not None:
-            raise InvalidInput("the controller is sampled; say at which rate it runs")
+            raise InvalidInput("the controller is sampled; state its sample rate")
         family: _Family | SampledFamily
         family, off, peaks = _chosen(plant, span, moving, timing)
         words = f"the worst of {_FROZEN} speeds"

@@ -690,7 +690,7 @@ def watched(
             "pressure_error",
             "0 Pa",
             "above zero with an estimate",
-            "say how far off the reading may be, such as 0.4 bar",
+            "state the largest error of the reading, such as 0.4 bar",
         )
     rate = machine.operation.pressure_rate if rate is None else rate
     if how == "alone":
@@ -705,7 +705,8 @@ def watched(
     for seal in machine.seals:
         if why := not_straight(seal):
             raise InvalidInput(
-                f"no monitor tells the pressure of seal {seal.name!r}: {why.partition(';')[0]}; "
+                f"no monitor estimates the pressure of seal {seal.name!r}: "
+                f"{why.partition(';')[0]}; "
                 "leave it out"
             )
     dt, rotating = (
@@ -744,7 +745,7 @@ def _check_alone(rate: float | None, limits: Limits) -> None:
             "pressure_rate",
             "not given",
             "given with an estimate alone",
-            "say how fast the pressure changes at most",
+            "state the fastest change of the pressure",
         )
     if not rate * SHORT <= band:
         most = (

@@ -935,7 +935,7 @@ def prove(wide: Widened, multipliers: Multipliers, gamma: float) -> Proof:
     worst = np.linalg.solve(one - port.G @ (start := forever(port)), port.E)
     decay = 1 - np.abs(np.linalg.eigvals(worst)).max() ** 2
     if not decay > 0 or not np.isfinite(start).all():
-        raise NumericalFailure("the worst inputs do not let the loop decay")
+        raise NumericalFailure("with the worst inputs the loop does not decay")
 
     # X of a cost larger by margin |x0|^2 per period: what V falls by beyond the inequality
     X = forever(replace(port, F=port.F + _MARGIN * decay * one))

@@ -283,7 +283,7 @@ def proved_sampled(
         slower = [loop.system(p, decay) for p in values]
         if not all(is_stable(item) for item in slower):
             raise NumericalFailure(
-                f"the motion asks for a decay of {decay:.3g} 1/s, more than the loop has; {_REMEDY}"
+                f"the motion requires a decay of {decay:.3g} 1/s, more than the loop has; {_REMEDY}"
             )
         least = max(hinf_norm(item).value for item in slower)
         for room in _ROOMS:
@@ -294,7 +294,7 @@ def proved_sampled(
                 tell(f"not proved at {least * (1 + room):.4f}: {error}")
                 continue
             tell(
-                f"gain {'' if found else 'not '}below {search.gamma:.4f}: the motion asks for a "
+                f"gain {'' if found else 'not '}below {search.gamma:.4f}: the motion requires a "
                 f"decay of {search.needed:.3g} of {decay:.3g} 1/s"
             )
             if found:

@@ -607,12 +607,12 @@ def _excitation(records: list[Record], axes: tuple[str, ...]) -> str:
                 "the excitation",
                 f"none at {missing}",
                 "on every axis",
-                "excite it in a record of its own, or with the others",
+                "excite it in a separate record, or with the others",
             )
         if driven:
             return kind
     raise InvalidInput(
-        "the records hold no excitation e_<axis> or r_<axis>; inject one, as the scenario "
+        "the records have no excitation e_<axis> or r_<axis>; inject one, as the scenario "
         "acceptance does"
     )
 

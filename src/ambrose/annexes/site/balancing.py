@@ -86,7 +86,7 @@ def weighted_fit(
     s = np.linalg.svd(M / length, compute_uv=False)
     if s[-1] < 1e-9 * s[0]:
         raise InvalidInput(
-            "the planes cannot be told apart by these sensors and speeds; use fewer planes, or "
+            "these sensors and speeds do not distinguish the planes; use fewer planes, or "
             "another speed"
         )
     return float(error), x, np.linalg.inv(M.conj().T @ M), float(s[0] / s[-1])
@@ -526,8 +526,9 @@ def balance(
     """Correction masses in ``planes`` from the 1x of displacements and currents of records at
     steady speeds.
 
-    records: as they are or their files, of the rotor as it is, at one speed or several; one at slow
-    roll tells the run-out. planes: bearings, couplings, seals or discs of the machine file, each
+    records: as they are or their files, of the rotor as it is, at one speed or several; one at
+    slow roll gives the run-out. planes: bearings, couplings, seals or discs of the machine file,
+    each
     with the radius [m] where masses go. trials: records with known weights on, each with m r exp(j
     angle) [kg m] by plane; as many as planes at one speed measure the coefficients there, fewer are
     fitted beside the model's. controller: the one that ran; needed where the records hold neither
@@ -604,7 +605,7 @@ def balance(
     }
     if NONE in sources and len(sources) > 1:
         raise InvalidInput(
-            "some records hold the currents u_ or i_ and others do not; give --controller, or "
+            "some records have the currents u_ or i_ and others do not; give --controller, or "
             "record them in all"
         )
     blind = sources == {NONE}
@@ -743,7 +744,7 @@ def _estimate(
         extra.append((own, back))
     if blind and not all(back is not None for _, back in extra):
         raise InvalidInput(
-            "the records hold neither u_<axis> nor i_<axis>; give the controller that ran, or "
+            "the records have neither u_<axis> nor i_<axis>; give the controller that ran, or "
             "trial weights in every plane at "
             "every speed"
         )
@@ -872,7 +873,7 @@ def _weights(given: Mapping[str, complex], planes: tuple[str, ...]) -> np.ndarra
     for name in given:
         if name not in planes:
             raise InvalidInput(
-                f"there is a trial weight in {name!r}, which is no correction plane; "
+                f"there is a trial weight in {name!r}, which is not a correction plane; "
                 f"{suggestion(name, planes)}"
             )
     weights = np.array([complex(given.get(name, 0.0)) for name in planes])

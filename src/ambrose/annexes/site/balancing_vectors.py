@@ -270,7 +270,7 @@ def coefficients_of_trials(
     v = _vectors(initial, "initial", "(m,)")
     runs = _vectors(trials, "trials", "(m, p)", m=len(v), p=len(W))
     if not W.all():
-        raise invalid("a trial weight", 0, "not zero", "give what was put on, at its angle")
+        raise invalid("a trial weight", 0, "not zero", "give the mass added, with its angle")
 
     # A_j = (run with W_j - run before it) / W_j
     before = np.column_stack([v, runs[:, :-1]]) if kept else v[:, None]
@@ -590,7 +590,8 @@ def _check_speeds(machine: Machine, table: AmplitudeTable, controller: LawLike |
     for speed in map(float, table.speeds):
         if beyond := beyond_top_speed(machine, speed):
             raise InvalidInput(
-                f"the amplitudes hold a speed above the machine's own: {beyond}; correct speed_rpm"
+                f"the amplitudes have a speed above the machine's range: {beyond}; correct "
+                "speed_rpm"
             )
     if controller is None and not blocks:
         return False

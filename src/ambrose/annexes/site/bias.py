@@ -160,7 +160,7 @@ def identify_over_bias(
             bias = own if record.point.bias_current is None else record.point.bias_current
             if bias is None:
                 raise InvalidInput(
-                    "a record does not say its bias current and the bearings have several; state "
+                    "a record does not state its bias current and the bearings have several; state "
                     "bias_current at its point"
                 )
             key = next((known for known in groups if abs(known - bias) <= _SAME * bias), bias)

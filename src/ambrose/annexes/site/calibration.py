@@ -486,7 +486,7 @@ def _runout(
     plant = assemble(machine_at_load(machine, [record]), record.point)
     if source_of_currents(record, plant, None) == NONE:
         raise InvalidInput(
-            "the record of slow roll holds neither u_<axis> nor i_<axis>; the controller follows "
+            "the record of slow roll has neither u_<axis> nor i_<axis>; the controller follows "
             "run-out: record them"
         )
     profiles: list[list[Runout]] = [[] for _ in pairs]

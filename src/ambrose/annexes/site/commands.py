@@ -58,13 +58,13 @@ def accept(
     everything: bool,
     as_json: bool,
 ) -> None:
-    """Measure sensitivity, open and closed loop on the running machine, and hold them against their
-    limits.
+    """Measure sensitivity, open and closed loop on the running machine, and compare them with
+    their limits.
 
-    RECORDS hold the displacements y_<axis> and excitations e_<axis> (or references r_<axis>) on
+    RECORDS contain the displacements y_<axis> and excitations e_<axis> (or references r_<axis>) on
     every axis, at standstill or running, at one operating point or several; CONTROLLER is the file
-    of the one that ran, and with u_<axis> it is checked. Limits and zones (ISO 14839-3) judge the
-    outer end of the 95 % intervals. Exit status 1: measured, but a check failed.
+    of the one that ran, and with u_<axis> it is checked. Limits and zones (ISO 14839-3) apply to
+    the outer end of the 95 % intervals. Exit status 1: measured, but a check failed.
     """
     from ambrose.annexes.site.acceptance import accept as accepted
     from ambrose.law.loop import timing_in_words
@@ -123,13 +123,14 @@ def accept(
 @click.option(
     "--amplitudes",
     type=click.Path(path_type=Path),
-    help="In place of records: the amplitudes that converged current-free blocks hold (*.csv with "
+    help="In place of records: the amplitudes of converged current-free blocks (*.csv with "
     "speed_rpm, axis, amplitude_um_0p, angle_deg).",
 )
 @click.option(
     "--since",
     type=click.Path(path_type=Path),
-    help="With --amplitudes: an earlier such table; what has come since is told and balanced.",
+    help="With --amplitudes: an earlier table of amplitudes; the unbalance added since is found "
+    "and balanced.",
 )
 @click.option(
     "--settle",
@@ -153,11 +154,13 @@ def balance(
     """Correction masses from what turns once with the rotor, in g and degrees, with the residual
     that they will leave.
 
-    RECORDS hold y_<axis> and u_<axis> (or i_<axis>) at steady speeds, one or several; one at slow
-    roll tells the run-out. With as many trial runs as planes, at the same speed, the influence
+    RECORDS contain y_<axis> and u_<axis> (or i_<axis>) at steady speeds, one or several; one at
+    slow
+    roll gives the run-out. With as many trial runs as planes, at the same speed, the influence
     coefficients are measured; without, they are the model's. Degrees count in the direction of spin
     from the key mark, which points along x when the signal key rises. Exit status 1: done, but the
-    planes are hardly told apart, run-out is unknown, or the correction may not lower the vibration;
+    planes are hardly distinguished, run-out is unknown, or the correction may not lower the
+    vibration;
     with --since: the unbalance has changed.
     """
     from ambrose.annexes.site.balancing import balance as balanced
@@ -218,7 +221,7 @@ def _check_sources(
     for name, value in {"a record": records, "--trial": trials}.items():
         if value:
             raise InvalidInput(
-                f"{name} is given beside --amplitudes; a table of amplitudes needs no record, "
+                f"{name} is given with --amplitudes; a table of amplitudes needs no record: "
                 "leave it out"
             )
 
@@ -296,7 +299,8 @@ def _weights(text: str, radii: dict[str, float]) -> dict[str, complex]:
     type=click.Choice(("gain", "clearance")),
     default="gain",
     show_default=True,
-    help="What the circle tells: gains, the touchdown gaps known; or the gaps, the gains known.",
+    help="Quantity found from the circle: the gains (touchdown gaps known), or the gaps (gains "
+    "known).",
 )
 @click.option("--harmonics", type=int, default=3, show_default=True, help="Of the run-out.")
 @click.option(
@@ -415,7 +419,8 @@ def bias(
     each.
 
     RECORDS are closed-loop records with excitation at several bias currents, as their operating
-    points state; static loads (f_<port> [N]) give K_i by itself, for comparison or alone. Exit
+    points state; static loads (f_<port> [N]) give K_i alone, for comparison or without the others.
+    Exit
     status 1: found and written, but something is doubtful.
     """
     from ambrose.annexes.site.bias import UNKNOWN, identify_over_bias
@@ -528,10 +533,11 @@ def frf(
     output: Path | None,
     as_json: bool,
 ) -> None:
-    """Measure frequency responses, open and closed loop, with their coherence and 95 % intervals,
-    beside the model's.
+    """Measure frequency responses, open and closed loop, with coherence and 95 % intervals, and
+    compare them with the model.
 
-    RECORDS hold the displacements y_<axis> and excitations e_<axis> (or references r_<axis>, forces
+    RECORDS contain the displacements y_<axis> and excitations e_<axis> (or references r_<axis>,
+    forces
     f_<port>): chirps, binary sequences, multisines, stepped sines or noise, at one operating point
     or several. With u_<axis> they tell the open loop of every axis driven by itself, and with all
     axes driven the plant. Exit status 1: measured, but something makes it doubtful.
@@ -638,7 +644,9 @@ _WORDS = {True: "holds", False: "does not hold", None: "for information"}
     help="The machine is known to have changed beyond the file's own tolerances.",
 )
 @click.option(
-    "--anyway", is_flag=True, help="Design a new one also where the running one still holds."
+    "--anyway",
+    is_flag=True,
+    help="Design a new controller even if the running one meets every requirement.",
 )
 @click.option(
     "-o",
@@ -664,11 +672,11 @@ def retune(
     """From a record of the running machine to another controller: proved, coded, tried, on a page
     to sign.
 
-    RECORDS hold excitations e_<axis> and displacements y_<axis>, with u_<axis> best. Identifies the
-    machine, says what changed, judges the running controller over the identified intervals; where
-    that no longer holds, tunes another of its structure, proves it, writes its code and what of it
-    changes, and tries the change and the way back on the virtual rig. Exit status 1: stopped at the
-    first step that does not hold; what was done stays in the folder.
+    RECORDS contain excitations e_<axis> and displacements y_<axis>, with u_<axis> best. Identifies
+    the machine, lists what changed, and checks the running controller over the identified
+    intervals. If it fails a requirement, another one of the same structure is tuned, proved and
+    written as code, and the change and the way back run on the virtual rig. Exit status 1: stopped
+    at the first step that fails; finished files stay in the folder.
     """
     from ambrose.annexes.site.retuning import PAGE
     from ambrose.annexes.site.retuning import retune as run

@@ -51,9 +51,9 @@ from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict
 _SENSITIVITY = (
     "Modulus of the output sensitivity of every axis with the other loops closed (ISO 14839-3), "
     "and the largest singular value of the whole matrix, which is stricter. Blue with its 95 % "
-    "band: measured, and nothing where noise hides the loop. Thin: what the machine file "
-    "predicted, and with the magnets at the static load of the record. Limits judge the band's "
-    "upper edge."
+    "band: measured, and nothing where noise hides the loop. Thin: predicted by the machine "
+    "file, and with the magnets at the static load of the record. The upper edge of the band "
+    "must meet the limits."
 )
 _CLOSED = "Modulus of the complementary sensitivity 1 − S of every axis: reference to displacement."
 _OPEN = (
@@ -174,8 +174,7 @@ def balancing_tables(result: Balancing) -> tuple[Table, Table]:
         rows.append((plane, *cells))
     note = (
         "Degrees from the key mark in the direction of spin; to remove mass, take the opposite "
-        "angle. Left at most: what the "
-        "plane keeps, with 95 %."
+        "angle. Left at most: remaining unbalance of the plane (95 %)."
     )
     columns = ("Plane", "Radius", "Add", "At", "Unbalance", "Left at most")
     masses = Table("Correction masses", columns, tuple(rows), note)
@@ -247,8 +246,8 @@ _QUANTITIES = (
 )
 _CAPTION = (
     "Circles: from closed-loop records, small motion at the working point; squares: chord over "
-    "static loads; 95 % bars. Line: "
-    "the machine file before, where it has coefficients. Without iron K_i grows with the bias and "
+    "static loads; 95 % bars. Line: the machine file before identification, where it has "
+    "coefficients. Without iron K_i grows with the bias and "
     "K_s with its square; what "
     "bends down at high bias is iron that saturates."
 )
@@ -383,8 +382,8 @@ _COLUMNS_FRF_PAGE = 4  # axes of one figure
 _HARDLY = 0.1  # of the largest: entries that are no more are left to the table of numbers
 _CLOSED_FRF_PAGE = (
     "Displacement per excitation with the loop closed: magnitude with its 95 % band, phase, the "
-    "model's error beside the "
-    "measurement's own (pale), and the coherence. Where the coherence falls, noise or "
+    "model's error and the measurement's own (pale), and the coherence. Where the coherence "
+    "falls, noise or "
     "nonlinearity is as large as the answer."
 )
 _PLANT = (
@@ -581,7 +580,7 @@ def response_tables(found: Responses, point: PointResponse) -> Iterator[Table]:
     if held:
         head = ("Response", "Of", "Model holds to", "Lines that agree", "Median coherence")
         note = "Within 10 % and 10°, widened by the measurement's own 95 % circle."
-        yield Table("How far the model holds", head, tuple(held), note)
+        yield Table("Agreement of model and measurement", head, tuple(held), note)
 
 
 _KINDS = {"motion": "closed loop", "sensitivity": "sensitivity", "plant": "plant"}
@@ -658,7 +657,7 @@ def _machine(done: Retuning) -> Section:
     change = Figure(
         "Change from the machine file",
         change_figure(result),
-        "With 95 % intervals, which are the box that the controllers are judged over.",
+        "With 95 % intervals: the tolerances over which the controllers are checked.",
     )
     remarks = tables.capitalised(done.identification.remarks)
     return Section("The machine as it is", remarks, (change,), (parameters_table(result),), True)
@@ -677,7 +676,7 @@ def _loops_of_page(done: Retuning) -> Iterator[Section]:
         if curve.name == _SENSITIVITY_PAGE
     ]
     caption = (
-        "On the identified machine, at every operating point that the loop holds; the limits are "
+        "On the identified machine, at every operating point with a stable loop; the limits are "
         "the machine file's and the zones of ISO 14839-3."
     )
     pictures = (Figure("Output sensitivity", figure(curves), caption),) if curves else ()
@@ -689,9 +688,9 @@ def _loops_of_page(done: Retuning) -> Iterator[Section]:
     yield Section("The loop before and after", "", pictures, (_compared(before, after),), True)
     if boxes:
         text = (
-            "Found by search is what can happen; proved is what cannot be exceeded by any values "
-            "of the parameters within their intervals, at any frequency; on a frequency grid is "
-            "neither between its lines."
+            "Found by search: can occur. Proved: not exceeded for any parameter values within "
+            "their intervals, at any frequency. On a frequency grid: nothing is known between "
+            "its lines."
         )
         yield Section("Over the identified intervals", text, (), tuple(boxes), folded=True)
 

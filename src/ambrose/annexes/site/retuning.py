@@ -338,7 +338,7 @@ def retune(
     running = synthesis_of(law)
     if running.synchronous:
         raise InvalidInput(
-            "the running controller has synchronous blocks beside it; switch them off for the "
+            "the running controller has synchronous blocks; switch them off for the "
             "record, give the controller without them, and add them to the new one "
             "(synthesize --synchronous --base)"
         )

@@ -51,7 +51,9 @@ _LEVERS = ("gain", "weight", "area", "bias", "bandwidth")
     "--tolerance", default=None, help='With --least: a tolerance to widen, "seal.center.k".'
 )
 @click.option(
-    "--widths", default=None, help='Its widths, "50 %, 100 %, 120 %"; the least is told for each.'
+    "--widths",
+    default=None,
+    help='Widths of the tolerance, "50 %, 100 %, 120 %"; the minimum is found for each.',
 )
 @click.option(
     "--reserve",
@@ -95,7 +97,7 @@ def size(
     **asked: Any,
 ) -> None:
     """How small the magnets may be: every pole area with every bias current, and whether a
-    controller meets what is asked.
+    controller meets every requirement.
 
     The size with the least copper and iron is verified. With --least: the least control gain, area,
     bias or amplifier bandwidth that still meets all, or the heaviest control weight with which mu

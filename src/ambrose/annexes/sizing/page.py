@@ -26,11 +26,11 @@ _SHADES = (
     (np.inf, "fails-3"),
 )
 _MAP = (
-    "The largest of all requirements over its limit, and which it is: at most 1 where a "
-    "controller meets all of them at every "
-    "operating point on the full plants, as the loop runs, and at the worst corners found of the "
-    "tolerances. Grey: no "
-    "controller can, for the reason stated. That none was found is no proof that there is none."
+    "The requirement nearest to its limit, as a share of it: at most 1 where a controller meets "
+    "all requirements at every operating point on the full plants, as the loop runs, and at the "
+    "worst corners found of the tolerances. Grey: no "
+    "controller can, for the reason stated. None was found by search; that is not a proof that "
+    "none exists."
 )
 _COSTS = (
     "Copper loss of all coils over the volume of the magnets, both over the machine file's own. "
@@ -38,11 +38,9 @@ _COSTS = (
     "joins sizes of which no other has both less; ring: the least product of the two."
 )
 _CONTOURS = (
-    "Over pole area and bias current, both over the machine file's: the largest singular value of "
-    "S_o that the controllers "
-    "reach (solid; red: the limit), and the voltage that the largest control current takes at top "
-    "speed (dotted, V; turns "
-    "as in the machine file). Filled: meets all."
+    "Axes: pole area and bias current, relative to the machine file. Solid: largest singular "
+    "value of S_o (red: the limit). Dotted: voltage for the largest control current at top "
+    "speed [V], with the machine file's turns. Filled: all requirements met."
 )
 _DRIVE = ("Turns", "Bias current", "Largest control current", "Inductance", "Voltage at top speed")
 _SOURCES = (
@@ -50,13 +48,13 @@ _SOURCES = (
     "of the air gaps alone, without leakage (assumed)",
 )
 _ASSUMED = (
-    "Load capacity: what bias, current, force and voltage leave over residual unbalance, and over "
+    "Load capacity: force within the limits of bias, current, force and voltage over residual "
+    "unbalance, and over "
     "each load of the machine file on top of it; below 1 the size fails. "
-    "The magnet grows along the shaft: pole area, volume and inductance with it; gap, turns, pole "
-    "width and the amplifier's "
-    "bandwidth stay. Copper loss: squares of the coil currents at rest, with turns around a "
-    "square pole at the machine file's "
-    "size. Volt-amperes: inductance, bandwidth and the square of the current."
+    "The magnet grows along the shaft: pole area, volume and inductance with it; gap, turns, "
+    "pole width and amplifier bandwidth do not change. Copper loss: from the squares of the "
+    "static coil currents; the pole is taken as square at the machine file's size. "
+    "Volt-amperes: inductance, bandwidth and the square of the current."
 )
 _TURNS = (
     "Fewer turns take more current and less voltage for the same flux, force and loop; the "

@@ -102,7 +102,7 @@ def state_at(
     missing = [name for name in names if name not in record.signals]
     if missing:
         raise InvalidInput(
-            f"the record has no {', '.join(missing)}, so that nothing says where the rotor is; "
+            f"the record has no {', '.join(missing)}, so that the rotor's position is unknown; "
             "record displacements at every bearing"
         )
     rows = fallen.sensor_rows
@@ -233,7 +233,7 @@ def sampled_law(
     timing = timing_of(machine, law)
     if timing is None:
         raise InvalidInput(
-            "nothing says at which rate the controller runs; give sample_time in [controller] of "
+            "the controller's sample rate is unknown; give sample_time in [controller] of "
             "the machine file"
         )
     system = law_of(law).at(point)
@@ -555,7 +555,9 @@ def landing(
                 f"the rotor of the record does not turn at {trip:g} s; give the time of a trip"
             )
     if absurd := list(implausible(machine, _RESTS_ON)):
-        raise InvalidInput(listed(f"{machine.name} gives no verdict on a landing", absurd))
+        raise InvalidInput(
+            listed(f"{machine.name} has values with which a landing cannot be checked", absurd)
+        )
     progress("the rotor without its magnets")
     fallen = fallen_rotor(machine, chosen)
     _check_races(fallen)

@@ -2,7 +2,7 @@
 
 The cases are drawn at once from one seed, so that they do not depend on how many processors work on
 them. A drop that turns three times against its spin without going back is said to whirl: a count on
-the simulated motion, no statement on stability.
+the simulated motion, not a statement on stability.
 """
 
 from __future__ import annotations

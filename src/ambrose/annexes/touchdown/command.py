@@ -77,8 +77,8 @@ def landing_command(
     """Landing in the touchdown bearings: whip before any simulation, then drops.
 
     Backward whip from the receptances of the rotor without its magnets and of the touchdown
-    bearings: at which friction, how fast, with which force. One drop as the file states it; many
-    over what nobody knows. Exit status 1: a limit of [bearing.touchdown.limits] fails.
+    bearings: at which friction, how fast, with which force. One drop with the file's values, or
+    many over the uncertain ones. Exit status 1: a limit of [bearing.touchdown.limits] fails.
     """
     from ambrose.annexes.touchdown.analysis import WHIP_MODEL, landing
     from ambrose.record.files import read_record

@@ -379,16 +379,16 @@ _DROP = (
     "residual unbalance. Rotor in {modes} bending modes per plane, seals and couplings linear."
 )
 _MOTION = (
-    "Centre of the rotor in each bearing. Red: how far it may go in what it meets, which gives "
-    "way; grey: the same at rest. Slow motion, {slow:.0f} times slower."
+    "Centre of the rotor in each bearing. Red: limit of the motion at contact, with the "
+    "deflection of the bearing; grey: the limit at rest. Slow motion, {slow:.0f} times slower."
 )
-_HISTORY = "Forces and speeds: a race that has caught up with the rotor slips no more."
+_HISTORY = "Forces and speeds: a race at the rotor's speed no longer slips."
 _MANY = (
     "{count:,} drops of {duration:.3g} s with friction {f[0]:g} to {f[1]:g} and mount {m[0]:g} to "
     "{m[1]:g} times the file's values, speed {s[0]:g} to {s[1]:g} times the operating point's, and "
     "every phase of unbalance; seed {seed}; {wall:.0f} s on {workers} processors.\n\n"
     "{share:.3g} % whirl within {duration:.3g} s: {turns:g} whole turns against the spin without "
-    "going back, counted on this nonlinear model. That is no statement on stability."
+    "going back, counted on this nonlinear model. This is not a statement on stability."
 )
 _DISTRIBUTION = "Left: share of drops with at most a force. Right: at most 1,500 drops."
 _COST = (
@@ -397,8 +397,8 @@ _COST = (
 )
 _ALONG = (
     "The thrust bearing loses its power with the others: rotor, coupling and stop of the machine "
-    "file, from rest at the middle, under the process thrust of {thrust:.4g} N. Left out: what the "
-    "magnets still pull as their flux decays (the rig has it), friction on the face."
+    "file, from rest at the middle, under the process thrust of {thrust:.4g} N. Not included: "
+    "magnet force while the flux decays (the rig includes it), friction on the face."
 )
 _FACE = "The collar against its stop, and how near it comes to the magnet."
 _HEADS = (
@@ -554,8 +554,8 @@ def drop_section(result: Landing) -> Section:
         at, back = 1e3 * result.recovery.start, result.recovery.time
         found = f"free of contact {1e3 * back:.4g} ms later" if np.isfinite(back) else "not free"
         note += (
-            f" Power back after {at:.4g} ms in another drop: {found}, at most "
-            f"{result.recovery.force / 1e3:.3g} kN; no statement on stability."
+            f" Second drop, with power back after {at:.4g} ms: {found}, at most "
+            f"{result.recovery.force / 1e3:.3g} kN; not a statement on stability."
         )
     table = Table("As the machine is written down", columns, tuple(rows), note)
     slow = FRAME_TIME * FRAMES / (1e3 * SHOWN)

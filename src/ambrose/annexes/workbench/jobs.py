@@ -348,16 +348,16 @@ def _wrapped(log: str) -> str:
 def _read(path: Path) -> Job:
     """A job as it was written here. Raises InvalidInput and others for what only looks like one."""
     if path.resolve() != path or not path.is_file() or path.stat().st_size > _STATE:
-        raise InvalidInput(f"{path.name} is no job's state")
+        raise InvalidInput(f"{path.name} is not the state of a job")
     content = parse_json(path.read_text(encoding="utf-8"), "start the job again")
     job = Job(**{**content, "words": tuple(content["words"])})
     numbers = [n for n in (job.status, job.begun, job.ended) if n is not None]
     known = job.name == path.parent.name and _NAME.fullmatch(job.name) and job.state in _STATES
     if not known or not job.words or not all(isinstance(word, str) for word in job.words):
-        raise InvalidInput(f"{path.name} is no job's state")
+        raise InvalidInput(f"{path.name} is not the state of a job")
     known = isinstance(job.said, dict) and isinstance(job.why, str)
     if not known or not all(isinstance(n, int | float) for n in numbers):
-        raise InvalidInput(f"{path.name} is no job's state")
+        raise InvalidInput(f"{path.name} is not the state of a job")
     return job
 
 

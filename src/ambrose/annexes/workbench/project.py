@@ -155,7 +155,7 @@ class Project:
         stem, dot, ending = text.partition(".")
         if dot + ending.lower() not in KINDS[kind]:
             raise InvalidInput(
-                f"{text[:60]!r} is no name of a file in {kind}; "
+                f"{text[:60]!r} is not a file name in {kind}; "
                 f"it ends with {' or '.join(KINDS[kind])}"
             )
         slug(stem, f"file in {kind}")

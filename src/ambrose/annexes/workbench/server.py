@@ -169,7 +169,7 @@ async def _content(request: Request) -> dict[str, Any]:
     except (ValueError, RecursionError):
         content = None
     if not isinstance(content, dict):
-        raise InvalidInput("the request holds no JSON object; reload the page")
+        raise InvalidInput("the request is not a JSON object; reload the page")
     return content
 
 

@@ -152,7 +152,7 @@ def build_cascade(
     checked = check_settings(K, name, error_limit, current_limit, windup_time, hold_samples)
     if settings is None:
         raise InvalidInput(
-            "this controller is no bank of filters, whose sections a cascade needs; design one "
+            "a cascade needs a bank of filters, and this controller is not one; design one "
             "(--method pid, or tuned with "
             "--structure pid or filters), or use the modal form"
         )
@@ -204,8 +204,8 @@ def build_cascade(
     law, exact = sampled_response(E, B, C, D), sampled_response(deployment.increment, K.B, K.C, K.D)
     if not response_error(exact, law, FLOOR) <= _SAME:
         raise InvalidInput(
-            "the controller is not the one that its filters give on this machine, so that what "
-            "was verified would not run; "
+            "the controller is not the one that its filters give on this machine, so that the "
+            "verified controller would not run; "
             + (
                 "name its file, --machine my.toml, "
                 if machine is None
@@ -544,9 +544,9 @@ def to_fixed_cascade(
             f"the rounding noise of {block.outputs[worst]} with words of {word} bits",
             f"{share.max():.2g} of its limit",
             f"at most {largest_error:g}",
-            f"{block.raw_limit[worst] / currents[worst]:.3g} times the limit is asked for at the "
-            "largest error: narrow "
-            f"error_limit to {narrow:.1g} m, take away gain at high frequencies, or use words of "
+            f"{block.raw_limit[worst] / currents[worst]:.3g} times the limit is commanded at "
+            f"the largest error: lower error_limit to {narrow:.1g} m, reduce the gain at high "
+            "frequencies, or use words of "
             "32 bits or floating point",
         )
     return replace(fixed, error=error, noise=noise, gain_error=moved)

@@ -164,8 +164,8 @@ def quantise_rows(
             f -= 1
         if f < least:
             raise InvalidInput(
-                f"fixed point overflows: {what} adds up to {total:.3g} times its range, more than "
-                f"words of {word} bits hold; "
+                f"fixed point overflows: {what} adds up to {total:.3g} times its range, more "
+                f"than the range of {word}-bit words; "
                 "use words of 32 bits or floating point, or raise the current limit"
             )
         whole[i], bits[i] = scaled.astype(np.int64), f

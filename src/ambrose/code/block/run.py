@@ -198,7 +198,7 @@ def run_supervised(
     readings = np.asarray(told, dtype=float)
     if readings.shape != (len(e), 3):
         what = f"({len(e)}, 3), a reading, an estimate and its half width for every sample"
-        raise InvalidInput(f"the shape of what is told is {readings.shape}, but must be {what}")
+        raise InvalidInput(f"the shape of the readings is {readings.shape}, but must be {what}")
     twin = supervised_twin(block, np.float32 if single else np.float64)
     e = e.astype(twin.laws.limit.dtype)
     currents, schedule = np.empty((len(e), len(block.outputs))), np.empty(len(e))

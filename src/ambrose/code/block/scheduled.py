@@ -746,7 +746,7 @@ def supervise(block: ScheduledBlock, fallback: ControlBlock, watch: Limits) -> S
             "rate_limit of a supervised block",
             block.rate_limit,
             "left out",
-            "its readings have a rate of their own",
+            "its readings have another sample rate",
         )
     parts = {item.name: getattr(block, item.name) for item in fields(ScheduledBlock)}
     return SupervisedBlock(**parts, fallback=fallback, watch=watch)

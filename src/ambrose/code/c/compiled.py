@@ -568,8 +568,8 @@ def _response(
         if not code.status:
             return np.concatenate([code.states(), currents]) / size
     raise InvalidInput(
-        "the code limits its currents (or clamps what it is told) however small the step; give "
-        "larger limits, stay in its range"
+        "the code limits its currents (or clamps its readings) for any step size; give larger "
+        "limits, or readings within its range"
     )
 
 

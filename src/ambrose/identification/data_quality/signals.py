@@ -209,7 +209,7 @@ def point_findings(machine: Machine, record: Record) -> Iterator[Finding]:
         if share > _SERIOUS:
             evidence = f"{100 * share:.2g} % of its samples exceed twice the largest, {limit:g} A"
             mend = "record the control current, without the bias, and check its scale"
-            yield Finding(Code.SATURATED, ERROR, f"{name} is no control current", evidence, mend)
+            yield Finding(Code.SATURATED, ERROR, f"{name} is not a control current", evidence, mend)
 
 
 def check_point(record: Record, where: str) -> None:

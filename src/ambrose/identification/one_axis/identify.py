@@ -117,7 +117,7 @@ def coarse_steps(signals: dict[str, np.ndarray]) -> Iterator[Finding]:
                 Code.CLIPPED,
                 WARNING,
                 f"{name} is coarse",
-                f"its steps of {step:.2g} are {100 * share:.2g} % of its rms",
+                f"its quantisation steps of {step:.2g} are {100 * share:.2g} % of its rms",
                 "use more of the converter's range",
             )
 
@@ -618,7 +618,8 @@ def _undriven() -> Finding:
         ERROR,
         "nothing drives the loop from outside",
         "u follows from the displacement and from its own past to rounding, so that the record "
-        "tells the controller (y over u is near -1/K where noise drives the loop), not the plant",
+        "identifies the controller (y over u is near -1/K where noise drives the loop), not the "
+        "plant",
         _DRIVE_IT,
     )
 
@@ -634,7 +635,7 @@ def _unusable(result: GenericIdentification, referenced: bool) -> Iterator[Findi
             "the reference answers the displacement",
             f"it knows of the noise before it (chance {done.answering:.1g}), as the control error "
             "or u do",
-            "name what was added from outside, or leave it out as a reference: none",
+            "name the external signal as the reference, or state reference: none",
         )
         return
     if done.outside < _DRIVEN:
@@ -719,9 +720,9 @@ def _doubts(
                 Code.SCATTER,
                 WARNING,
                 f"both halves of the record disagree about the {item.name}",
-                f"by {done.apart[place - 1]:.2g} deviations; the interval holds it",
-                "something changed meanwhile (working point, temperature); identify the halves "
-                "apart",
+                f"by {done.apart[place - 1]:.2g} deviations; the interval includes it",
+                "something changed during the record (working point, temperature); identify the "
+                "halves separately",
             )
     share = 100 * done.bend[:2] / np.abs(done.plant[:2])
     if share.max() > _BENT:
@@ -729,8 +730,8 @@ def _doubts(
             Code.CURVED,
             WARNING,
             "the motion is large for the magnet: its curvature shows",
-            f"at the tangent a differs by {share[0]:.2g} %, b by {share[1]:.2g} %; the intervals "
-            "hold it",
+            f"at the tangent a differs by {share[0]:.2g} %, b by {share[1]:.2g} %; the "
+            "intervals include it",
             "record with smaller motion",
         )
     ahead = done.prediction
@@ -741,7 +742,7 @@ def _doubts(
             "the second half is not predicted as well as the first half promises",
             f"{ahead.error:.3g} m rms {1e3 * ahead.horizon:.3g} ms ahead, {ahead.expected:.3g} m "
             "expected",
-            "something changed meanwhile; identify the halves apart",
+            "something changed during the record; identify the halves separately",
         )
     off = [row for row in law if not row.fits]
     if off:

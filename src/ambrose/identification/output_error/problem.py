@@ -284,8 +284,8 @@ def fitted_signals(
             if name not in record.signals:
                 known = ", ".join(record.signals)
                 raise InvalidInput(
-                    f"record {number} has no signal {name}; it has {known}; say which are to be "
-                    "fitted (signals)"
+                    f"record {number} has no signal {name}; it has {known}; list the signals to "
+                    "fit (signals)"
                 )
     if not wanted:
         raise InvalidInput("no signal is fitted; name at least one in signals")
@@ -311,9 +311,9 @@ def driven_inputs(plant: Plant, records: Sequence[Record], order: int) -> tuple[
         active = [name for name in driven if name in record.signals and np.ptp(record[name]) > 0]
         if not active:
             raise InvalidInput(
-                f"record {number} holds no excitation: none of e_<axis>, f_<port> changes in it, "
-                "and noise alone tells nothing "
-                "about the machine; add a PRBS or chirp to the controller's output and record it "
+                f"record {number} has no excitation: none of e_<axis>, f_<port> changes in it, "
+                "and noise alone does not identify the machine; add a PRBS or chirp to the "
+                "controller's output and record it "
                 "as e_<axis>"
             )
         orders = {name: _order(record[name], order) for name in active}

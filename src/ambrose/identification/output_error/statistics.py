@@ -325,7 +325,7 @@ def check_visible(names: Sequence[str], H: np.ndarray, scale: np.ndarray) -> Non
                 "give the delay as it is (--delay-samples)" if name in TIMING else "excite its axis"
             )
             raise InvalidInput(
-                f"these records say nothing about {name}; {remedy}, or take it as known"
+                f"these records do not determine {name}; {remedy}, or take it as known"
             )
 
     # unit diagonal: a small eigenvalue is a combination that changes nothing

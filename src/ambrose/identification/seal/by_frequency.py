@@ -297,9 +297,9 @@ def _stiffness(model: _Model, i: int, driven: list[Driven]) -> _Stiffness:
     size = np.sqrt(np.diag(normal))
     if np.linalg.eigvalsh(normal / size / size[:, None])[0] < _UNDECIDABLE:
         raise NumericalFailure(
-            f"at {omega / 2 / np.pi:g} Hz the rotor whirls in a circle at the seal, where direct "
-            "and cross-coupled "
-            "coefficients cannot be told apart; excite along both axes, in records of their own"
+            f"at {omega / 2 / np.pi:g} Hz the rotor whirls in a circle at the seal, where "
+            "direct and cross-coupled coefficients cannot be distinguished; excite along both "
+            "axes, in separate records"
         )
     count = min(len(item.blocks) for item, _ in driven)
     parts = [solve([item.blocks[b] for item, _ in driven]) for b in range(count)]
@@ -452,13 +452,13 @@ def at_lines(
     groups = driven_groups(records, axes)
     if any(name[:2] != "e_" for group in groups for name in group):
         raise InvalidInput(
-            "a seal is told by currents e_<axis> added to the controller's; leave other "
+            "a seal is identified from currents e_<axis> added to the controller's; leave other "
             "excitations out"
         )
     if len(groups) < 2:
         raise InvalidInput(
-            "all excitations of the records at one pressure are alike; drive both directions by "
-            "patterns of their own"
+            "all excitations of the records at one pressure have the same pattern; drive the "
+            "two directions with different patterns"
         )
     inputs, measured = (
         [group[0] for group in groups],
@@ -636,17 +636,15 @@ def identify_by_frequency(
     refuse(checked)
     kinds = [is_stepped(record, [n for n in record.signals if n[:2] == "e_"]) for record in loaded]
     if len(set(kinds)) > 1:
-        raise InvalidInput(
-            "some records hold stepped sines and others do not; give those of one kind"
-        )
+        raise InvalidInput("some records have stepped sines and others do not; give one kind only")
     reference = any(record.point.seal_pressure == 0 for record in loaded)
     lines = None
     if not kinds[0]:
         lines = list(frequencies or 2 * np.pi * np.linspace(_LOWEST, _HIGHEST, _LINES))
     elif frequencies:
         raise InvalidInput(
-            "frequencies are those of the steps where the records hold stepped sines; leave them "
-            "out"
+            "frequencies are those of the steps where the records have stepped sines; leave "
+            "them out"
         )
     progress(f"the seal at {len({record.point.seal_pressure for record in loaded})} pressures")
     fit = identify(

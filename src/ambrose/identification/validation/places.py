@@ -121,8 +121,8 @@ def thrust_findings(
                 f"record {number} was taken under another thrust than its operating point states",
                 f"a mean current of {current:.3g} A carries {carried:,.3g} N, the point states "
                 f"{at.load:,.3g} N, and k_i and k_s are found for the stated one",
-                "correct the point's [[thrust_bearing.load]], or the speed of the record by which "
-                "its point is told",
+                "correct the point's [[thrust_bearing.load]], or the speed of the record, which "
+                "selects the operating point",
             )
 
 

@@ -504,7 +504,7 @@ def judged(
     standard deviation, what the residuals hold is no doubt about the values: the warning goes,
     unless a fault of a channel or a magnet is as large: one step from the wrong structure does not
     tell where the values end in the right one. Nor is a doubt what explains no more than ``rest``
-    of the residuals (rest_of): the interval holds it.
+    of the residuals (rest_of): the interval includes it.
     """
     # what the file holds and the records hardly see: as much as it may be off, all independent
     held = np.sum([item.shift**2 for item in suspected if item.held], axis=0)

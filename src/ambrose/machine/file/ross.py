@@ -64,7 +64,7 @@ def rotor_of_ross(document: Mapping[str, Any], name: str) -> RotorModel:
     layers = [_layer(name, key, row) for key, row in rows if key.startswith("ShaftElement")]
     if not layers:
         raise InvalidInput(
-            f"{name}: it has no ShaftElement, so that it is no rotor of ROSS; {GIVE}"
+            f"{name}: it has no ShaftElement, so that it is not a rotor of ROSS; {GIVE}"
         )
     layers.sort(key=lambda layer: layer["n"])
     assumed: dict[str, str] = {}

@@ -133,7 +133,7 @@ class NamedTable:
             value = math.nan
         if not math.isfinite(value):
             raise InvalidInput(
-                f"{column.kind} is {quoted(cell)}, but must be a number; units stand in the first "
+                f"{column.kind} is {quoted(cell)}, but must be a number; units are in the first "
                 f'row, as "{column.kind} [...]"'
             )
         return value
@@ -164,7 +164,7 @@ def named_table(
         reader = csv.reader((line for _, line in lines), delimiter=separator, skipinitialspace=True)
         (_, header), *rows = [(lines[reader.line_num - 1][0], row) for row in reader]
     except csv.Error as error:
-        raise InvalidInput(f"it is no table in CSV ({error}); {example}") from None
+        raise InvalidInput(f"it is not a CSV table ({error}); {example}") from None
     while len(header) > 1 and not header[-1].strip():
         header.pop()
     columns = [_column(place, cell, known, exact) for place, cell in enumerate(header)]
@@ -175,7 +175,7 @@ def named_table(
                 f"the column {quoted(column.word)} is unknown; {suggestion(column.word, known)}"
             )
         if kinds.count(kind) > 1:
-            raise InvalidInput(f'the column "{kind}" stands there twice; leave one out')
+            raise InvalidInput(f'the column "{kind}" is given twice; leave one out')
     if missing := [kind for kind in required if kind not in kinds]:
         raise InvalidInput(
             f'the column "{missing[0]}" is missing; its first row names the columns, such as '

@@ -413,7 +413,7 @@ def balance(p: tuple[float, ...], load: Pair, place: Pair, name: str) -> Pair:
         f"{np.hypot(*load):.4g} N",
         f"what its magnets carry at a bias of {p[0]:.3g} A",
         "raise the bias current, correct iron and coefficients, or leave gravity_direction out "
-        "for a rotor that stands upright",
+        "for a vertical rotor",
     )
 
 

@@ -604,9 +604,7 @@ def figure(
 
 def _check_curves(curves: Sequence[tuple[str, Curve]]) -> None:
     if not curves:
-        raise InvalidInput(
-            "a figure was asked for without curves; give at least one (label, Curve)"
-        )
+        raise InvalidInput("a figure has no curves; give at least one (label, Curve)")
     first = curves[0][1]
     if first.kind not in _KINDS:
         raise invalid(
@@ -619,7 +617,7 @@ def _check_curves(curves: Sequence[tuple[str, Curve]]) -> None:
         where = f"curve {curve.name} at {label}"
         if (curve.kind, curve.x_unit, curve.y_unit) != (first.kind, first.x_unit, first.y_unit):
             form = f"{curve.kind} in {curve.y_unit or '-'} over {curve.x_unit}"
-            wanted = f"{first.kind} in {first.y_unit or '-'} over {first.x_unit} like the first one"
+            wanted = f"{first.kind} in {first.y_unit or '-'} over {first.x_unit}, as the first"
             raise invalid(where, form, wanted, "put different quantities into different figures")
         shape = (len(curve.labels), len(curve.x))
         if np.shape(curve.y) != shape or np.iscomplexobj(curve.y):

@@ -175,7 +175,7 @@ def stations(record: Record, machine: Machine) -> tuple[Station, ...]:
     if not result:
         wanted = f"y_{machine.axes[0]} and y_{machine.axes[1]}"
         raise InvalidInput(
-            f"the record of {record.machine} holds no displacements in two directions; it needs "
+            f"the record of {record.machine} has no displacements in two directions; it needs "
             f"{wanted}"
         )
     return tuple(result)
@@ -187,8 +187,7 @@ def _sides(record: Record, machine: AxialMachine) -> tuple[Station, ...]:
     name = next((f"{kind}_{axis}" for kind in "qy" if f"{kind}_{axis}" in record.signals), None)
     if name is None:
         raise InvalidInput(
-            f"the record of {record.machine} holds no displacement along the shaft; it needs "
-            f"y_{axis}"
+            f"the record of {record.machine} has no displacement along the shaft; it needs y_{axis}"
         )
     z, stops = record[name], part.touchdown_gap or (None, None)
     nothing, sensor = np.zeros(len(z)), name.startswith("y")

@@ -545,8 +545,8 @@ def levitated_state(
     if not still or (np.abs(u) >= law.limit).any() or _penetration(rig, q) >= 0:
         raise NumericalFailure(
             "the rotor has no levitated equilibrium in this scenario (currents up to "
-            f"{np.abs(u).max():.3g} A were asked for); "
-            "reduce the static load, raise max_current or the bias, or start with initial = "
+            f"{np.abs(u).max():.3g} A needed); reduce the static load, raise max_current or the "
+            "bias, or start with initial = "
             '"resting"'
         )
     return state_at_rest(rig, q, u), x, u

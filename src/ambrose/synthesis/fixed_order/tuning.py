@@ -443,7 +443,7 @@ def _holding(job: Job, law: Law, enough: float = HOLDS) -> Law:
     if abscissa < 0:
         return law
     raise NumericalFailure(
-        f"no controller of order {structure.controller(x).n_states} that holds all "
+        f"no controller of order {structure.controller(x).n_states} that stabilises all "
         f"{len(job.models)} models was found (a pole "
         f"stays at {abscissa:+.3g} rad/s); {advice(job.structure)}, give another [controller] to "
         "start from, or drop a point"
@@ -607,7 +607,7 @@ def _best(job: Job, rounds: list[_Round]) -> _Round:
     if not np.isfinite(best.worst):
         raise NumericalFailure(
             f"no controller of order {as_system(best.law, job.full[0].machine).n_states} that "
-            "holds the full plant at all "
+            "stabilises the full plant at all "
             f"{len(job.full)} operating points was found; {advice(job.structure)}, allow more "
             "bending modes, or drop a point"
         )

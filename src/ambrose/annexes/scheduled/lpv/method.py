@@ -54,7 +54,7 @@ class Lpv(Method):
     )
     speed_rate: float | None = option(
         None,
-        "Fastest run-up, rad/s^2, which the proof then takes; default: any.",
+        "Fastest run-up that the proof covers, rad/s^2; default: any.",
         check=positive("give it in rad/s^2, or leave it out for any"),
     )
     pressures: tuple[float, float] | None = option(
@@ -66,8 +66,7 @@ class Lpv(Method):
     )
     pressure_rate: float | None = option(
         None,
-        'Fastest change of the pressure, such as "20 bar/s", which the proof then takes; default: '
-        "any.",
+        'Fastest change of the pressure that the proof covers, such as "20 bar/s"; default: any.',
         dimension="pressure per time",
         metavar="RATE",
         check=positive("give it in Pa/s, or leave it out for any"),

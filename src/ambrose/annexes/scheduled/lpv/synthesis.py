@@ -179,8 +179,7 @@ def _direct(plant: ScaledPlant) -> np.ndarray:
     for part in (D[:k], D[:, :j]):
         if part.size and np.linalg.norm(part, 2) >= 1:
             raise NumericalFailure(
-                "gamma is below what the plant lets through at infinite frequency; increase the "
-                "back-off"
+                "gamma is below the plant's gain at infinite frequency; increase the back-off"
             )
 
     # -D_21 D_11^T (I - D_11 D_11^T)^-1 D_12 - D_22, then out of the normal form's u and y

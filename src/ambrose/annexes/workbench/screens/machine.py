@@ -142,8 +142,8 @@ def _current(project: Project, given: Mapping[str, Any]) -> str:
     text = read_machine_text(project.machine)
     if given.get("stamp") != stamp_of(text):
         raise Refusal(
-            f"{MACHINE} was changed meanwhile, here or by another; nothing was written: look at "
-            "what stands there now (Reload) and change it again",
+            f"{MACHINE} has changed since it was read; nothing was written: reload it and "
+            "change it again",
             stale=True,
         )
     return text
