@@ -358,7 +358,8 @@ class Verification(Presented):
     that leaves a point out is not passed. timing: what loop was judged, "continuous" or "sampled at
     10000 Hz, ...". not_varied: tolerances of the machine file that do not hold around a point, with
     the reason (the file's ``around``, or a nominal value of zero). over_speed: the points beyond
-    the machine's own top speed, in words. controller: which one, with its digest.
+    the machine's own top speed, in words. between: what was checked between the points' speeds, in
+    words. controller: which one, with its digest.
     """
 
     _DATA: ClassVar = (
@@ -372,6 +373,7 @@ class Verification(Presented):
         "timing",
         "not_varied",
         "over_speed",
+        "between",
         "controller",
     )
 
@@ -385,6 +387,7 @@ class Verification(Presented):
     synchronous: tuple[Checks, ...] = ()
     over_speed: tuple[str, ...] = ()
     controller: str = ""
+    between: str = ""
 
     def __post_init__(self) -> None:
         check_types(type(self).__post_init__, (self,), {})
