@@ -374,6 +374,16 @@ def test_a_block_turned_by_180_degrees_is_doubted(rig):
         assert [line.partition(" with this T drives away")[0] for line in lines] == said
 
 
+def test_a_block_in_a_loop_that_is_lost_without_it_is_not_blamed(rig):
+    """A gain below k_s/k_i: T = 1 was said to have the wrong sign, or nothing was said."""
+    block = Synchronous("current-free", (600.0, 900.0), 0.5)
+    weak = tuple(0.05 * gain for gain in np.atleast_1d(rig.controller.gain))
+    settings = replace(rig.controller, synchronous=(block,), sample_time=1e-4, gain=weak)
+    (line,) = block_doubts(replace(rig, controller=settings))
+    assert "without the block the [controller] does not hold the rotor" in line
+    assert "drives away" not in line
+
+
 def test_what_is_missing_is_noted_but_no_doubt(rig):
     bare = replace(
         rig, requirements=type(rig.requirements)(), weights=None, controller=None, tolerances=()

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 import ambrose as amb
-from ambrose.core.statespace import StateSpace, static_gain
+from ambrose.core.statespace import StateSpace, spectral_abscissa, static_gain
 from ambrose.judge import nominal
 from ambrose.judge.plants import judge_stability
+from ambrose.judge.synchronous import block_loops, check_block
 from ambrose.law.loop import machine_timing, match_controller
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint, Operation, Requirements
-from ambrose.machine.part import Seal, SealTable
+from ambrose.machine.part import Seal, SealTable, Synchronous
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.stations import JournalBearing
 from ambrose.model.static_load import unbalance
@@ -180,11 +181,11 @@ def test_the_largest_orbit_of_three_hundred_random_rotors(single_masses):
 RPM = np.pi / 30
 
 
-def pump(speeds, k=0.0, stated=(0.0, 0.0)):
-    """A pump with one seal whose k is zero at 1000 and 3000 rpm and ``k`` at 2000."""
+def pump(speeds, k=0.0, stated=(0.0, 0.0), at=(1000, 2000, 3000)):
+    """A pump with one seal whose k [N/m] is that at the middle one of three speeds [rpm]."""
     machine = coarse("vertical-pump")
-    over = (("speed", tuple(RPM * rpm for rpm in (0, 1000, 2000, 3000))),)
-    table = SealTable(over, (("k", np.array([0.0, 0.0, k, 0.0])),))
+    over = (("speed", tuple(RPM * rpm for rpm in (0, *at, 4000))),)
+    table = SealTable(over, (("k", np.array([0.0, 0.0, k, 0.0, 0.0])),))
     points = tuple(OperatingPoint(rpm * RPM, 1e5, label=f"{rpm} rpm") for rpm in speeds)
     return replace(
         machine,
@@ -233,3 +234,20 @@ def test_the_verdict_says_where_nothing_was_looked_at():
 def test_the_running_range(speeds, stated, running):
     points = tuple(OperatingPoint(rpm * RPM) for rpm in speeds)
     assert Operation(points, stated).running == running
+
+
+def test_a_loop_that_is_unstable_without_the_block_is_named_not_the_block():
+    """Between the three speeds that are looked at first: T was called unstable for every gain."""
+    machine = pump((1000, 3000), 2e7, at=(1000, 1300, 1700))
+    law = pid_controller(machine.reference, machine)
+    block = Synchronous("current-free", (1000 * RPM, 3000 * RPM), 1.0)
+    (item,) = block_loops(machine, law, (block,))
+    growth = [spectral_abscissa(item.loop.sampled(w, item.conditions[0])) for w in item.speeds(3)]
+    assert max(growth) < 0
+    checks = check_block(item)
+    (check,) = checks.checks
+    assert not checks.stable and checks.label.startswith("the loop alone")
+    assert check.name == "stability.abscissa" and not check.passed and check.value > 0
+    own = spectral_abscissa(item.loop.sampled(1300 * RPM, item.conditions[0]))
+    assert 0 < check.value <= 1.02 * own
+    assert "stabilise the loop" in check.detail

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import AmbroseError, InvalidInput, named_failure
-from ambrose.core.statespace import poles
+from ambrose.core.statespace import poles, spectral_abscissa
 from ambrose.judge.campbell import PLANAR, whirl_measure
 from ambrose.judge.loop_response import beyond_reach, unavoidable_sensitivity, unavoidable_words
 from ambrose.judge.nominal import below_stiffness, stiffness_margin
@@ -411,7 +411,16 @@ def block_doubts(machine: Machine) -> Iterator[str]:
     for i, item in enumerate(block_loops(machine, law, settings.synchronous), 1):
         speeds = item.speeds(3).tolist()
         try:
-            seen = [item.loop.signals(item.mode, w, item.conditions[0]) for w in speeds]
+            first = item.conditions[0]
+            lost = [w for w in speeds if spectral_abscissa(item.loop.sampled(w, first)) >= 0]
+            if lost:  # no fault of T
+                yield (
+                    f"[[controller.synchronous]] {i}: without the block the [controller] does not "
+                    f"hold the rotor at {lost[0] * _RPM:,.5g} rpm, in the block's band; tune it "
+                    "first"
+                )
+                continue
+            seen = [item.loop.signals(item.mode, w, first) for w in speeds]
             # da/dt = -eps T R a converges where every eigenvalue of T R has a positive real part
             real = [
                 float(convergence(item.running.at(w), response))
