@@ -374,6 +374,16 @@ def test_a_block_turned_by_180_degrees_is_doubted(rig):
         assert [line.partition(" with this T drives away")[0] for line in lines] == said
 
 
+def test_a_block_in_a_loop_that_is_lost_without_it_is_not_blamed(rig):
+    """A gain below k_s/k_i: T = 1 was said to have the wrong sign, or nothing was said."""
+    block = Synchronous("current-free", (600.0, 900.0), 0.5)
+    weak = tuple(0.05 * gain for gain in np.atleast_1d(rig.controller.gain))
+    settings = replace(rig.controller, synchronous=(block,), sample_time=1e-4, gain=weak)
+    (line,) = block_doubts(replace(rig, controller=settings))
+    assert "without the block the [controller] does not hold the rotor" in line
+    assert "drives away" not in line
+
+
 def test_what_is_missing_is_noted_but_no_doubt(rig):
     bare = replace(
         rig, requirements=type(rig.requirements)(), weights=None, controller=None, tolerances=()
@@ -595,3 +605,79 @@ def test_nodes_of_higher_modes_are_named_from_the_uniform_beam(tmp_path):
     assert re.search(r"magnet and sensor A move oppositely in mode 3 \(", said)
     first = re.split(r"; ", said.removeprefix("bending: "))
     assert not [words for words in first if " B" in words and re.search(r"mode [23] \(", words)]
+
+
+def every(machine, table, **factors):
+    """The entries of a table, some numbers times a factor."""
+    parts = tuple(
+        replace(part, **{key: factor * getattr(part, key) for key, factor in factors.items()})
+        for part in getattr(machine, table)
+    )
+    return replace(machine, **{table: parts})
+
+
+def asked(machine, **changes):
+    return replace(machine, requirements=replace(machine.requirements, **changes))
+
+
+def wide(parameter, **width):
+    return lambda machine: replace(machine, tolerances=(Tolerance(parameter, **width),))
+
+
+BLOWER_K_I = "bearing.impeller-side.force_per_current"
+# (machine, what is done to it, the quantity that is doubted); all of these were passed
+RELATIONS = {
+    "seal k times 1000": ("overhung-blower", lambda m: every(m, "seals", k=1e3), "k of seal"),
+    "seal C times 1000": ("overhung-blower", lambda m: every(m, "seals", C=1e3), "C of seal"),
+    "c of a rig times 1000": ("seal-rig", lambda m: every(m, "seals", c=1e3), "c of seal"),
+    "a pump's k times 1000": ("vertical-pump", lambda m: every(m, "seals", k=1e3), "k of seal"),
+    "a pump's M in grams": ("vertical-pump", lambda m: every(m, "seals", M=1e3), "M of seal"),
+    "grade in m/s": ("overhung-blower", lambda m: asked(m, balance_grade=2.5), "balance_grade"),
+    "9000 Hz of balance": (
+        "flywheel",
+        lambda m: asked(m, balance_speed=9000 * 2 * np.pi),
+        "balance_speed",
+    ),
+    "balanced at a tenth of the speed": (
+        "flywheel",
+        lambda m: asked(m, balance_speed=94.2),
+        "balance_speed",
+    ),
+    "unbalance up to 9000 Hz": (
+        "flywheel",
+        lambda m: asked(m, unbalance_to=9000 * 2 * np.pi),
+        "unbalance_to",
+    ),
+    "disc in grams": ("overhung-blower", lambda m: every(m, "discs", mass=1e-3), "polar_inertia"),
+    "disc in g m2": (
+        "overhung-blower",
+        lambda m: every(m, "discs", polar_inertia=1e-3, diametral_inertia=1e-3),
+        "polar_inertia",
+    ),
+    "k_i known to 100 %": ("overhung-blower", wide(BLOWER_K_I, relative=1.0), "relative is 1"),
+    "k_s in N/um": (
+        "overhung-blower",
+        wide("bearing.impeller-side.negative_stiffness", absolute=8e8),
+        "absolute is",
+    ),
+    "k within 1e9": ("overhung-blower", wide("seal.labyrinth.k", absolute=1e9), "absolute is"),
+    "a bending mode anywhere": (
+        "overhung-blower",
+        wide("rotor.bending_1.frequency", relative=0.95),
+        "relative is 0.95",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", RELATIONS)
+def test_what_is_implausible_beside_other_numbers_is_doubted(case):
+    name, change, quantity = RELATIONS[case]
+    found = doubts(change(amb.load_machine(name)))
+    assert any(quantity in line for line in found), found
+    assert all("; " in line for line in found)
+
+
+def test_a_seal_that_a_tolerance_takes_to_zero_is_no_mistake():
+    """Swirl brakes reverse k: 100 % of it is usual, and ten times a small one may be."""
+    for width in ({"relative": 1.0}, {"absolute": 5 * 6e4}):
+        assert doubts(wide("seal.labyrinth.k", **width)(amb.load_machine("overhung-blower"))) == []

@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 
+import h5py
 import numpy as np
 import pytest
 from benchmarks.rig_cases import CASES, CONVERTERS, Rig, as_record, excited, fresh, told, unbalanced
@@ -20,6 +21,10 @@ from ambrose.identification.findings import Code
 from ambrose.law.loop import closed_loop, match_controller
 from ambrose.model.assemble import assemble
 from ambrose.model.uncertainty import free_mode_reduction
+from ambrose.record.files import write_record
+from ambrose.record.record import POINT_KEYS
+from ambrose.record.response import Path, Response
+from ambrose.record.response_files import write_response
 from ambrose.synthesis.pid import pid_synthesis
 from one_axis_loop import levitate
 
@@ -349,3 +354,106 @@ def test_times_of_no_clock_are_refused(tmp_path, factor):
 def test_a_file_that_cannot_be_read(tmp_path):
     with pytest.raises(InvalidInput):
         amb.check_record(tmp_path / "nothing.h5")
+
+
+# what no record has; a negative speed was identified with, and NaN passed in responses
+IMPOSSIBLE = [
+    ("speed_rad_s", np.nan),
+    ("speed_rad_s", -100.0),
+    ("seal_pressure_pa", np.nan),
+    ("bias_current_a", -2.0),
+    ("bias_current_a", 0.0),
+    ("whirl_frequency_rad_s", -5.0),
+    ("sample_rate_hz", np.nan),
+    ("sample_rate_hz", 1e12),
+]
+# that it may be read with, and no machine's
+UNUSUAL = [
+    ("speed_rad_s", 9e5),
+    ("seal_pressure_pa", 1e9),
+    ("seal_pressure_pa", -1e5),
+    ("bias_current_a", 1e3),
+    ("bias_current_a", 1e-4),
+]
+NAMES = {
+    "speed_rad_s": "speed",
+    "seal_pressure_pa": "seal pressure",
+    "bias_current_a": "bias current",
+}
+
+
+def responses():
+    omega = 2 * np.pi * np.geomspace(10, 1000, 30)
+    paths = tuple(Path("S", axis, axis, 1 / (1 + 300 / (1j * omega))) for axis in AXES)
+    return Response("seal-rig", omega, paths, amb.OperatingPoint(), sample_rate_hz=1e4)
+
+
+def write_with(path, key, value):
+    """A file of a record or of responses whose attribute ``key`` is ``value``."""
+    if path.stem == "record":
+        write_record(record("yue", count=5000), path)
+    else:
+        write_response(responses(), path)
+    if path.suffix == ".h5":
+        with h5py.File(path, "r+") as file:
+            file.attrs[key] = value
+        return
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    kept = [line for line in lines if not line.startswith(f"# {key}:")]
+    path.write_text(f"# {key}: {value}\n" + "".join(kept), encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory):
+    plant = free_mode_reduction(assemble(amb.load_machine("seal-rig")), 2)
+    K = match_controller(pid_synthesis(plant).controller, plant)
+    return amb.write_controller(tmp_path_factory.mktemp("ran") / "K.json", K)
+
+
+@pytest.mark.parametrize("file", ["record.h5", "record.csv", "responses.h5", "responses.csv"])
+@pytest.mark.parametrize(("key", "value"), IMPOSSIBLE)
+def test_a_number_that_no_record_has_is_refused_on_reading(tmp_path, file, key, value):
+    path = tmp_path / file
+    write_with(path, key, value)
+    for machine in (None, "seal-rig"):
+        with pytest.raises(InvalidInput, match=key.partition("_")[0]):
+            amb.check_record(path, machine)
+
+
+@pytest.mark.parametrize(("key", "value"), IMPOSSIBLE[:6])
+def test_a_number_that_no_record_has_is_refused_in_one_made_here(key, value):
+    at_it = {POINT_KEYS[key]: value}
+    for made in (record("yue", count=100), responses()):
+        with pytest.raises(InvalidInput, match=key):
+            at(made, **at_it)
+
+
+@pytest.mark.parametrize("file", ["record.h5", "responses.csv"])
+@pytest.mark.parametrize(("key", "value"), UNUSUAL)
+def test_a_number_of_no_machine_fails_the_check_and_the_identification(
+    tmp_path, ran, file, key, value
+):
+    path = tmp_path / file
+    write_with(path, key, value)
+    said = f"the {NAMES[key]} of the record's operating point is {value:.4g}"
+    for machine in (None, "seal-rig"):
+        check = amb.check_record(path, machine)
+        (found,) = (item for item in check.findings if item.code == Code.OPERATING_POINT)
+        assert not check.passed and str(found).startswith(said)
+    run = CliRunner().invoke(
+        main,
+        [
+            "identify",
+            "seal-rig",
+            str(path),
+            "--controller",
+            str(ran),
+            "-o",
+            str(tmp_path / "o.toml"),
+        ],
+    )
+    assert run.exit_code == 2 and said in run.output
+
+
+def test_an_idle_gauge_a_little_below_zero_is_no_mistake():
+    assert amb.check_record(at(record("yue"), seal_pressure=-150.0)).passed

@@ -8,13 +8,20 @@ from functools import partial
 import numpy as np
 import pytest
 
-from ambrose.core.statespace import StateSpace, static_gain
+import ambrose as amb
+from ambrose.core.statespace import StateSpace, spectral_abscissa, static_gain
 from ambrose.judge import nominal
-from ambrose.law.loop import match_controller
+from ambrose.judge.plants import judge_stability
+from ambrose.judge.synchronous import block_loops, check_block
+from ambrose.law.loop import machine_timing, match_controller
+from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint, Operation, Requirements
+from ambrose.machine.part import Seal, SealTable, Synchronous
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.stations import JournalBearing
 from ambrose.model.static_load import unbalance
+from ambrose.report.tables import deciding_verdict
+from coarse import coarse
 
 TOP = 1000.0
 OPEN = static_gain(np.zeros((4, 4)))
@@ -169,3 +176,78 @@ def test_the_largest_orbit_of_three_hundred_random_rotors(single_masses):
     template = single_masses()
     found = [orbit_of(seed, template) for seed in range(300)]
     assert max(own / check.value - 1 for check, own in found) < 1e-3
+
+
+RPM = np.pi / 30
+
+
+def pump(speeds, k=0.0, stated=(0.0, 0.0), at=(1000, 2000, 3000)):
+    """A pump with one seal whose k [N/m] is that at the middle one of three speeds [rpm]."""
+    machine = coarse("vertical-pump")
+    over = (("speed", tuple(RPM * rpm for rpm in (0, *at, 4000))),)
+    table = SealTable(over, (("k", np.array([0.0, 0.0, k, 0.0, 0.0])),))
+    points = tuple(OperatingPoint(rpm * RPM, 1e5, label=f"{rpm} rpm") for rpm in speeds)
+    return replace(
+        machine,
+        seals=(Seal("ring", machine.seals[1].position, table=table),),
+        tolerances=(),
+        operation=Operation(points, stated),
+        requirements=Requirements(sensitivity_peak=10.0),
+    )
+
+
+def verified(machine):
+    return amb.verify(machine, pid_controller(machine.reference, machine))
+
+
+def test_between_points_of_two_speeds_the_machine_runs():
+    """Stable at both points, lost between them: PASSED without a word."""
+    machine = pump((1000, 3000), 2e7)
+    found = verified(machine)
+    assert all(checks.checks[0].passed for checks in found.points)
+    (check,) = (c for checks in found.points for c in checks.checks if c.name == "stability.speeds")
+    middle = replace(machine.operation.points[0], speed=2000 * RPM)
+    law, timing = pid_controller(machine.reference, machine), machine_timing(machine)
+    own = judge_stability(assemble(machine, middle), law, timing)
+    assert not check.passed and not found.passed and not found.stable
+    assert check.value == pytest.approx(own.abscissa, rel=0.05) and own.abscissa > 100
+    assert "all speeds from 1,000 to 3,000 rpm" in deciding_verdict(found)
+
+
+def test_the_verdict_says_where_nothing_was_looked_at():
+    """At rest and at speed: how it gets there is not stated."""
+    found = verified(pump((0, 3000)))
+    assert found.passed and found.to_dict()["between"].startswith("nothing between")
+    words = "PASSED: 2 operating points, nothing between their speeds (state speed_range), sampled"
+    assert deciding_verdict(found).startswith(words)
+
+
+@pytest.mark.parametrize(
+    ("speeds", "stated", "running"),
+    [
+        ((0, 3000), (0.0, 0.0), (0.0, 0.0)),
+        ((3000, 1000, 0), (0.0, 0.0), (1000 * RPM, 3000 * RPM)),
+        ((3000, 1000), (0.0, 400.0), (0.0, 400.0)),
+        ((3000, 3000.0), (0.0, 0.0), (0.0, 0.0)),
+    ],
+)
+def test_the_running_range(speeds, stated, running):
+    points = tuple(OperatingPoint(rpm * RPM) for rpm in speeds)
+    assert Operation(points, stated).running == running
+
+
+def test_a_loop_that_is_unstable_without_the_block_is_named_not_the_block():
+    """Between the three speeds that are looked at first: T was called unstable for every gain."""
+    machine = pump((1000, 3000), 2e7, at=(1000, 1300, 1700))
+    law = pid_controller(machine.reference, machine)
+    block = Synchronous("current-free", (1000 * RPM, 3000 * RPM), 1.0)
+    (item,) = block_loops(machine, law, (block,))
+    growth = [spectral_abscissa(item.loop.sampled(w, item.conditions[0])) for w in item.speeds(3)]
+    assert max(growth) < 0
+    checks = check_block(item)
+    (check,) = checks.checks
+    assert not checks.stable and checks.label.startswith("the loop alone")
+    assert check.name == "stability.abscissa" and not check.passed and check.value > 0
+    own = spectral_abscissa(item.loop.sampled(1300 * RPM, item.conditions[0]))
+    assert 0 < check.value <= 1.02 * own
+    assert "stabilise the loop" in check.detail

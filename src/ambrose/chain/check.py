@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -18,7 +19,7 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import AmbroseError, InvalidInput, named_failure
-from ambrose.core.statespace import poles
+from ambrose.core.statespace import poles, spectral_abscissa
 from ambrose.judge.campbell import PLANAR, whirl_measure
 from ambrose.judge.loop_response import beyond_reach, unavoidable_sensitivity, unavoidable_words
 from ambrose.judge.nominal import below_stiffness, stiffness_margin
@@ -33,7 +34,7 @@ from ambrose.machine.part import Seal
 from ambrose.machine.thrust import ThrustBearing
 from ambrose.machine.units import listed
 from ambrose.machine.validation.machine import least_radius
-from ambrose.machine.validation.ranges import implausible
+from ambrose.machine.validation.ranges import implausible, rows
 from ambrose.model.assemble import (
     assemble,
     attached_rotor,
@@ -60,7 +61,7 @@ from ambrose.model.effects.seal import celsius_for_kelvin
 from ambrose.model.effects.stations import Clearance, Load, Stage
 from ambrose.model.plant import Plant, measured_ports, sensor_turn, top_speed
 from ambrose.model.static_load import magnet_coefficients, operating_magnets, static_sag
-from ambrose.model.uncertainty import free_mode_reduction, reduce_from
+from ambrose.model.uncertainty import channels, free_mode_reduction, reduce_from
 from ambrose.report.theme import quantity
 
 # What `ambrose check` tells about a machine, as rows of words.
@@ -320,6 +321,12 @@ _UNEVEN, _NOTHING = 1e4, 1e-12
 # between a stage's rated speed and the machine's: about the root of 9.55 rpm per rad/s, half way to
 # a mistaken unit
 _SPEEDS = 3.0
+# times the rotor's length and the shaft's radius, between which discs have their radius of
+# gyration: flywheels have 0.44 of the one, and a disc that is solid has 0.7 of the other
+_WHEEL, _CORE = 1.5, 0.2
+# times its parameter that an absolute tolerance has at most: a preswirl that is hardly known makes
+# a small k either way
+_WIDTH = 10.0
 # times what all bearings reach together: shocks may pass their static capacity, not by this
 _LOAD = 10.0
 # [rad/s] and times the slowest rigid mode, below both of which a stated corner is doubted:
@@ -335,6 +342,8 @@ def entry_doubts(machine: Machine) -> Iterator[str]:
     yield from _sensors(machine)
     yield from _uneven_blocks(machine)
     yield from _pressures(machine)
+    yield from _discs(machine)
+    yield from _balanced_at(machine)
     for seal in machine.seals:
         if seal.geometry is not None and (cold := celsius_for_kelvin(seal.geometry)):
             yield f"[[seal]] {seal.name}, [seal.geometry]: {cold}"
@@ -402,7 +411,16 @@ def block_doubts(machine: Machine) -> Iterator[str]:
     for i, item in enumerate(block_loops(machine, law, settings.synchronous), 1):
         speeds = item.speeds(3).tolist()
         try:
-            seen = [item.loop.signals(item.mode, w, item.conditions[0]) for w in speeds]
+            first = item.conditions[0]
+            lost = [w for w in speeds if spectral_abscissa(item.loop.sampled(w, first)) >= 0]
+            if lost:  # no fault of T
+                yield (
+                    f"[[controller.synchronous]] {i}: without the block the [controller] does not "
+                    f"hold the rotor at {lost[0] * _RPM:,.5g} rpm, in the block's band; tune it "
+                    "first"
+                )
+                continue
+            seen = [item.loop.signals(item.mode, w, first) for w in speeds]
             # da/dt = -eps T R a converges where every eigenvalue of T R has a positive real part
             real = [
                 float(convergence(item.running.at(w), response))
@@ -446,6 +464,84 @@ def _mass_diameter(machine: Machine) -> Iterator[str]:
                 f"mass_diameter of [[shaft]] {number}{label}, {1e3 * mass:,.4g} mm, is below its "
                 f"outer_diameter, {1e3 * outer:,.4g} mm: laminations add mass and take none away; "
                 "check its unit"
+            )
+
+
+def _discs(machine: Machine) -> Iterator[str]:
+    """Radii of gyration sqrt(I/m) of discs that no rotor of this length carries, or below those of
+    the shaft on which they sit: mass or inertia in grams is 31.6 times off.
+    """
+    for disc in machine.discs:
+        shaft, _ = least_radius(machine, disc.position)
+        radius = math.sqrt(disc.polar_inertia / disc.mass)
+        if radius > _WHEEL * machine.length or 0 < radius < _CORE * shaft:
+            yield (
+                f"polar_inertia and mass of disc {disc.name} give a radius of gyration of "
+                f"{1e3 * radius:,.4g} mm, on a rotor {1e3 * machine.length:,.4g} mm long with "
+                f"{1e3 * shaft:,.4g} mm of shaft radius there; check the units of both"
+            )
+
+
+def _balanced_at(machine: Machine) -> Iterator[str]:
+    """Speeds of the requirements on unbalance far off the machine's: residual unbalance of a grade
+    is grade over speed, so that a wrong unit makes the requirement lax or hard.
+    """
+    top = top_speed(machine)
+    for key in ("balance_speed", "unbalance_to"):
+        speed = getattr(machine.requirements, key)
+        if top and speed and not top / _SPEEDS <= speed <= _SPEEDS * top:
+            yield (
+                f"[requirements]: {key} is {speed * _RPM:,.6g} rpm, where the machine turns at up "
+                f"to {top * _RPM:,.6g} rpm; a bare number is in rad/s: check its unit"
+            )
+
+
+def seal_doubts(machine: Machine, mass: float) -> Iterator[str]:
+    """Seal coefficients far beyond what the magnets and the rotor's mass [kg] have: a wrong
+    exponent.
+    """
+    k_s = float(magnet_coefficients(machine, machine.operation.design)[1].sum()) / 2  # of a plane
+    critical = 2 * math.sqrt(k_s * mass)  # [N s/m]: zeta = C / (2 sqrt(k m))
+    sizes = {"K": k_s, "k": k_s, "C": critical, "c": critical, "M": mass}
+    words = {
+        "K": "the negative stiffness of all magnets",
+        "C": "the rotor's critical damping on as much stiffness as the magnets' negative one",
+        "M": "the rotor's mass",
+    }
+    for seal in machine.seals:
+        for key, most in rows("relation").items():
+            quantity = key.rpartition(".")[2]
+            times, label = _largest(machine, seal, quantity, sizes[quantity])
+            if times > most:
+                yield (
+                    f"{quantity} of seal {seal.name} is {times:,.3g} times "
+                    f"{words.get(quantity) or words[quantity.swapcase()]} at operating point "
+                    f'"{label}"; check its unit and its exponent'
+                )
+
+
+def _largest(machine: Machine, seal: Seal, quantity: str, size: float) -> tuple[float, str]:
+    """The largest size of a coefficient over ``size``, and where; 0 where there is none."""
+    found = [(0.0, "")]
+    for point in machine.operation.envelope if size > 0 else ():
+        with suppress(AmbroseError):  # outside its table, which is said elsewhere
+            value = getattr(seal_coefficients(seal, point), quantity)
+            found.append((abs(value) / size, point.label))
+    return max(found)
+
+
+def width_doubts(plant: Plant) -> Iterator[str]:
+    """Absolute tolerances that are many times their parameter at the plant's point."""
+    for tolerance in plant.machine.tolerances:
+        if tolerance.absolute is None:
+            continue
+        # a parameter that is zero here may be anything elsewhere
+        nominal = min((abs(c.nominal) for c in channels(plant, tolerance.parameter)), default=0.0)
+        if 0 < _WIDTH * nominal < tolerance.absolute:
+            yield (
+                f"[[tolerance]] {tolerance.parameter}: absolute is "
+                f"{tolerance.absolute / nominal:,.4g} times its value at {plant.point.label!r}, "
+                f"{nominal:g} in SI; check its unit and its exponent"
             )
 
 
@@ -761,6 +857,8 @@ def insight(plant: Plant) -> dict[str, Any]:
             *_sizes(machine, properties),
             *entry_doubts(machine),
             *_mesh_of_check(bending, errors),
+            *seal_doubts(machine, properties.mass),
+            *width_doubts(plant),
             *_forces(machine, bearings),
             *load_doubts(machine, sum(item.force for item in bearings)),
             *_stiffness(machine, margin),
@@ -1091,8 +1189,14 @@ def _remarks(machine: Machine) -> Iterator[str]:
         )
     if machine.gravity_direction is None:
         yield "no gravity_direction: the rotor has no weight on the rig"
+    low, high = machine.operation.running
     if machine.operation.speed_range[1] == 0 and top_speed(machine) > 0:
-        yield "no speed_range: nothing is judged between the operating points"
+        yield (
+            f"no speed_range: it is taken to run from {low * _RPM:,.6g} to {high * _RPM:,.6g} rpm, "
+            "as its points turn"
+            if high
+            else "no speed_range: nothing is judged between the operating points"
+        )
     turned = [
         p
         for p, b in zip(measured_ports(machine)[0::2], machine.bearings, strict=True)

@@ -16,7 +16,11 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, check_path
 from ambrose.core.presentation import Presented
 from ambrose.identification.data_quality.diagnosis import machine_findings
-from ambrose.identification.data_quality.signals import flat_tops, signal_findings
+from ambrose.identification.data_quality.signals import (
+    flat_tops,
+    point_findings,
+    signal_findings,
+)
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding
 from ambrose.identification.one_axis.axis_record import is_text_table, read_axis
 from ambrose.identification.one_axis.identify import coarse_steps, dead_channels, identify_generic
@@ -171,7 +175,7 @@ def _check_responses(source: Any, machine: Machine | None) -> RecordCheck:
         ),
         Use("anything else", "frf, accept, retune", False, "they take records in time"),
     )
-    return RecordCheck(name, contents, (), uses)
+    return RecordCheck(name, contents, tuple(point_findings(machine, response)), uses)
 
 
 def _check_table(
@@ -293,6 +297,7 @@ def _findings(record: Record, machine: Machine | None) -> Iterator[Finding]:
         name: record[name] for name in record.signals if name.partition("_")[0] in _MEASURED
     }
     if machine is None:
+        yield from point_findings(None, record)
         yield from dead_channels(measured)
         yield from _clipped(measured)
     yield from coarse_steps({name: row for name, row in measured.items() if np.ptp(row) > 0})

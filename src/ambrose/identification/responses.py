@@ -21,6 +21,7 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import poles
+from ambrose.identification.data_quality.signals import point_findings
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding, refuse
 from ambrose.identification.output_error import statistics
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
@@ -124,6 +125,7 @@ def identify_responses(
     """
     point = responses[0].point
     for number, one in enumerate(responses, 1):
+        refuse(point_findings(machine, one))
         if one.machine != machine.name:
             remedy = "take that machine's file, or correct the machine that the responses name"
             what = f"the machine of responses {number}"

@@ -358,8 +358,9 @@ class Verification(Presented):
     that leaves a point out is not passed. timing: what loop was judged, "continuous" or "sampled at
     10000 Hz, ...". not_varied: tolerances of the machine file that do not hold around a point, with
     the reason (the file's ``around``, or a nominal value of zero). over_speed: the points beyond
-    the machine's own top speed, in words. controller: which one, with its digest. not_judged: the
-    axes of the machine that nothing here is about.
+    the machine's own top speed, in words. between: what was checked between the points' speeds, in
+    words. controller: which one, with its digest. not_judged: the axes of the machine that nothing
+    here is about.
     """
 
     _DATA: ClassVar = (
@@ -373,6 +374,7 @@ class Verification(Presented):
         "timing",
         "not_varied",
         "over_speed",
+        "between",
         "controller",
         "not_judged",
     )
@@ -387,6 +389,7 @@ class Verification(Presented):
     synchronous: tuple[Checks, ...] = ()
     over_speed: tuple[str, ...] = ()
     controller: str = ""
+    between: str = ""
     not_judged: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

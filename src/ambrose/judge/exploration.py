@@ -505,10 +505,10 @@ def explore(
 
 
 def _between(machine: Machine, law: Law, at: OperatingPoint) -> tuple[OperatingPoint, ...]:
-    """Operating points along the machine's speed range, all else as at one of them; those that the
-    law has no place for are left out.
+    """Operating points along the machine's running range, all else as at one of them; those that
+    the law has no place for are left out.
     """
-    low, high = machine.operation.speed_range
+    low, high = machine.operation.running
     if high <= low:
         return (at,)
     speeds = np.linspace(low, high, _STANDING).tolist()

@@ -443,8 +443,8 @@ def check(
         _extend(
             checks, curves, unbalance_checks(plant, response, evaluator, requirements, residual)
         )
-    if plant_at is not None and plant.machine.operation.speed_range[1] > 0:
-        span = covered or plant.machine.operation.speed_range
+    if plant_at is not None and plant.machine.operation.running[1] > 0:
+        span = covered or plant.machine.operation.running
         under = law_at or (lambda other: controller)
         _extend(
             checks,

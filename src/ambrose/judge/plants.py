@@ -104,10 +104,10 @@ def plant_gain(plant: Plant) -> Curve:
 
 
 def campbell_map(plant: Plant, controller: LawLike, progress: Progress) -> tuple[Curve, ...]:
-    """Closed-loop natural frequencies and damping over the machine's speed range; empty for one
-    that does not turn.
+    """Closed-loop natural frequencies and damping over the machine's running range; empty for one
+    without.
     """
-    low, high = plant.machine.operation.speed_range
+    low, high = plant.machine.operation.running
     if high <= low:
         return ()
     progress("following the modes over speed")

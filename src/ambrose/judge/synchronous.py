@@ -24,7 +24,7 @@ of the balance grade in the bearing planes, the worst case over how forward forc
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -389,20 +389,21 @@ def check_block(
     Raises InvalidInput.
     """
     progress(f"judging the {item.label}")
-    stable = all(
-        spectral_abscissa(item.loop.sampled(float(w), condition)) < 0
+    known = (
+        (float(w), condition)
         for condition in (*item.conditions, *item.corners())
         for w in bases(item.block.band, 3)
     )
-    if not stable:
-        note = (
-            "The loop is unstable without the block somewhere in its band or over its tolerances: "
-            "nothing is judged of the block."
-        )
-        return Checks(item.label, False, (), (), (note,))
+    if (lost := _loop_alone(item, known)) is not None:
+        return lost
     progress(f"searching the speeds of the {item.label}")
     nominal, corners = item.survey(item.conditions), item.corners()
     box = item.survey(corners, members=True) if corners else None
+    # what is unstable with the block may be so between those speeds without it
+    places = (place for one in (nominal, box) if one is not None for place in one.places)
+    unstable = ((place.look.speed, place.condition) for place in places if not place.stable)
+    if (lost := _loop_alone(item, unstable)) is not None:
+        return lost
     checks = [*_margin_checks(item, progress, members, seed), _gain_check(item, nominal)]
     if box is not None:
         checks.append(_gain_check(item, box, len(corners)))
@@ -424,6 +425,26 @@ def check_block(
         checks.append(_sensitivity_check(item, box, len(corners)))
     over_speed = _sensitivity_curve(nominal, checks[-1].limit)
     return Checks(item.label, True, tuple(checks), (*curves, over_speed), notes)
+
+
+def _loop_alone(item: BlockLoop, places: Iterable[tuple[float, Condition]]) -> Checks | None:
+    """The failed check of the loop without the block where that is unstable at one of (speed
+    [rad/s], condition): no T holds it. None: at none.
+    """
+    for speed, condition in places:
+        growth = spectral_abscissa(item.loop.sampled(speed, condition))
+        if growth >= 0:
+            title = "Outermost pole of the loop without the block"
+            detail = (
+                f"at {speed:.5g} rad/s, {condition.label}: stabilise the loop, or take that speed "
+                "out of the band"
+            )
+            wanted = Demand(0.0, "<", "stability")
+            check = judge("stability.abscissa", title, growth, "rad/s", wanted, detail)
+            note = "The loop is unstable without the block: nothing is judged of the block."
+            label = f"the loop alone, in the band of the {item.label}"
+            return Checks(label, False, (check,), (), (note,))
+    return None
 
 
 def _margin_checks(item: BlockLoop, progress: Progress, members: int, seed: int) -> list[Check]:
@@ -766,9 +787,11 @@ def _sensitivity_check(item: BlockLoop, found: Survey, corners: int = 0) -> Chec
         f"at {worst.frequency / TWO_PI:.4g} Hz, {worst.speed:.5g} rad/s, {place.condition.label}; "
         f"{worst.alone:.4g} without the block"
     )
+    wanted = demand("sensitivity of an axis", item.loop.machine.requirements)
+    if wanted.limit is not None and worst.alone > wanted.limit:
+        text += ", so the loop alone fails: tune its controller"
     if unstable is not None:
         text = f"unstable at {unstable.look.speed:.5g} rad/s, {unstable.condition.label}"
-    wanted = demand("sensitivity of an axis", item.loop.machine.requirements)
     title = f"Sensitivity of an axis with the block on, {_searched(item, found, corners)}"
     name = "synchronous.sensitivity.box" if corners else "synchronous.sensitivity"
     return judge(name, title, value, "-", wanted, text)

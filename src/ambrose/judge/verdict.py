@@ -379,6 +379,7 @@ def verify_controller(
             for plant in within
             if (words := beyond_top_speed(plant.machine, plant.point.speed))
         ),
+        between=_between(within, checks),
     )
 
 
@@ -399,7 +400,7 @@ def verify_points(
         progress(f"verifying at {plant.point.label}")
         # over all speeds once for every pressure and bias current of the points
         place = plant.point.seal_pressure, plant.point.bias_current
-        turning = plant.machine.operation.speed_range[1] > 0 and place not in seen
+        turning = plant.machine.operation.running[1] > 0 and place not in seen
         seen.add(place)
         along = plants_along_speed(plant) if turning else None
         checks = nominal.check(
@@ -415,8 +416,8 @@ def verify_points(
 
 
 def _speeds_covered(law: Law, plant: Plant) -> tuple[float, float]:
-    """The part of the machine's speed range [rad/s] that a schedule over speed is made for."""
-    low, high = plant.machine.operation.speed_range
+    """The part of the machine's running range [rad/s] that a schedule over speed is made for."""
+    low, high = plant.machine.operation.running
     if law.follows(SPEED) and law.range is not None:
         first, last = (float(np.atleast_1d(end)[0]) for end in law.range)
         low, high = max(low, first), min(high, last)
@@ -442,6 +443,15 @@ def _unstable_when_sampled(plant: Plant, law: Law, timing: Timing | None) -> tup
             detail=f"no sample rate is stated, and the continuous loop was checked; {STATE_RATE}",
         ),
     )
+
+
+def _between(plants: Sequence[Plant], points: Sequence[Checks]) -> str:
+    """What was checked between the speeds of the points, in words; "" where all have one speed."""
+    if any(check.name == "stability.speeds" for part in points for check in part.checks):
+        low, high = (30 / np.pi * end for end in plants[0].machine.operation.running)
+        return f"all speeds from {low:,.6g} to {high:,.6g} rpm"
+    several = len({plant.point.speed for plant in plants}) > 1
+    return "nothing between their speeds (state speed_range)" if several else ""
 
 
 def verify_ranges(

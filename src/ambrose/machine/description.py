@@ -321,6 +321,15 @@ class Operation(Part):
         return (*self.points, *(corner for at, corner in corners.items() if at not in known))
 
     @property
+    def running(self) -> tuple[float, float]:
+        """The speeds [rad/s] between which it runs: speed_range, else from the slowest to the
+        fastest turning point where those are two; (0, 0): no such range.
+        """
+        turning = {point.speed for point in self.envelope if point.speed > 0}
+        taken = self.speed_range[1] <= 0 and len(turning) > 1
+        return (min(turning), max(turning)) if taken else self.speed_range
+
+    @property
     def nominal(self) -> OperatingPoint:
         return self.points[0]
 

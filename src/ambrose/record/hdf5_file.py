@@ -64,8 +64,9 @@ def _version(value: object) -> int:
 
 def _number(value: Any, info: ValidationInfo) -> float:
     """An attribute as a finite number; CSV has it as a text."""
-    try:
-        number = float(value)
+    value = value.item() if isinstance(value, np.generic) else value
+    try:  # True is no number, and a complex one would lose a part
+        number = float(value) if np.asarray(value).dtype.kind in "iufU" else math.nan
     except (TypeError, ValueError):
         number = math.nan
     if not math.isfinite(number):

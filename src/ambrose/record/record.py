@@ -135,6 +135,7 @@ class Record(Presented):
     @names_wrong_types
     def __post_init__(self) -> None:
         check_rate(self.sample_rate_hz)
+        check_operating_point(self.point)
         if abs(check_finite(self.start_time, "start_time")) > LARGEST_TIME:
             raise invalid(
                 "start_time",
@@ -367,6 +368,23 @@ def signal_dimension(name: str) -> Dimension:
             "rename the signal",
         )
     return DIMENSIONS[_PREFIXES[prefix]]
+
+
+_BIAS = "leave it out for the bearings' own"
+_SPIN = "spin is positive from x to y: correct its sign, or swap the axes"
+
+
+def check_operating_point(point: OperatingPoint) -> None:
+    """Raises InvalidInput for a number at which no record or response is measured: one that is not
+    finite, a negative speed or whirl frequency, a bias current that is not positive.
+    """
+    for key, name in POINT_KEYS.items():
+        value = getattr(point, name)
+        if name == "seal_pressure":  # an idle gauge shows a little less than nothing
+            check_finite(value, key)
+        elif value is not None and name != "label":
+            is_bias = name == "bias_current"
+            check_positive(value, key, _BIAS if is_bias else _SPIN, zero_allowed=not is_bias)
 
 
 def check_rate(rate: float) -> None:

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.presentation import Presented
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.units import DIMENSIONS, in_si
-from ambrose.record.record import POINT_KEYS
+from ambrose.record.record import POINT_KEYS, check_operating_point, check_rate
 
 # quantity -> in words, and its SI unit over and under the line
 QUANTITIES: Mapping[str, tuple[str, str, str]] = {
@@ -92,8 +92,9 @@ class Response(Presented):
                 f"frequency {k + 1} ({self.omega[k] / (2 * np.pi):g} Hz) does not lie above the "
                 "one before it; sort the lines, and leave repeated ones out"
             )
+        check_operating_point(self.point)
         if self.sample_rate_hz is not None:
-            check_positive(self.sample_rate_hz, "sample_rate_hz", "give the controller's, in Hz")
+            check_rate(self.sample_rate_hz)
         for name, times in Counter(path.name for path in self.paths).items():
             if times > 1:
                 raise InvalidInput(f"{name} is there {times} times; leave out all but one")

@@ -15,6 +15,7 @@ and imag.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -80,7 +81,7 @@ class PathColumns(Part):
                 f"{name} needs source, or gain and phase, or real and imag; name exactly one of "
                 "the three"
             )
-        if self.coherence and self.averages < 1:
+        if self.coherence and not 1 <= self.averages < math.inf:
             raise InvalidInput(
                 f"{name} has coherence, which cannot be used without the number of averages; add "
                 "averages, or leave coherence out"
@@ -206,14 +207,7 @@ def _own_map(path: File) -> ResponseMap:
     for key in ("machine", "speed_rad_s", "seal_pressure_pa"):
         if not said.get(key):
             raise InvalidInput(f"it does not state {key}; {remedy} (--columns)")
-    texts = {name: said[key] for key, name in POINT_KEYS.items() if key in said}
-    label = texts.pop("label", "")
-    try:
-        point = OperatingPoint(**{name: float(text) for name, text in texts.items()}, label=label)
-        rate = float(said["sample_rate_hz"]) if "sample_rate_hz" in said else None
-        averages = float(said.get("averages", 0))
-    except ValueError as error:
-        raise InvalidInput(f"a line above the header is no number ({error}); {remedy}") from None
+    point, rate, averages = _stated(said)
     cells = [
         re.fullmatch(r"\s*\"?([^\[\"]*?)\s*(?:\[([^\]]*)\])?\"?\s*", c) for c in head.split(",")
     ]
@@ -246,6 +240,22 @@ def _own_map(path: File) -> ResponseMap:
     ]
     column = Column(name="frequency", source=names[0][0], unit=names[0][1])
     return ResponseMap(said["machine"], point, tuple(paths), column, said.get("date", ""), rate)
+
+
+def _stated(said: Mapping[str, str]) -> tuple[OperatingPoint, float | None, float]:
+    """Operating point, sample rate [Hz] and number of averages, as a file's texts have them. Raises
+    InvalidInput.
+    """
+    texts = {name: said[key] for key, name in POINT_KEYS.items() if key in said}
+    label = texts.pop("label", "")
+    try:
+        point = OperatingPoint(**{name: float(text) for name, text in texts.items()}, label=label)
+        rate = float(said["sample_rate_hz"]) if "sample_rate_hz" in said else None
+        return point, rate, float(said.get("averages", 0))
+    except InvalidInput:
+        raise
+    except ValueError as error:
+        raise InvalidInput(f"an attribute is no number ({error}); correct it") from None
 
 
 def _mapped(path: File, columns: ResponseMap) -> Response:
@@ -411,10 +421,6 @@ def _read_hdf5(path: File) -> Response:
             rows, keys = data[:], {key: text(data.attrs[key]) for key in data.attrs}
             variance = rows[2] if len(rows) == 3 else None
             paths.append(Path(values=rows[0] + 1j * rows[1], variance=variance, **keys))
-        numbers = {n: said[key] for key, n in POINT_KEYS.items() if key in said}
-        label = numbers.pop("label", "")
-        point = OperatingPoint(**{n: float(value) for n, value in numbers.items()}, label=label)
-        stated = said.get("sample_rate_hz")
-        rate = None if stated is None else float(stated)
+        point, rate, _ = _stated(said)
         name, date = said.get("machine", ""), said.get("date", "")
         return Response(name, omega[:], tuple(paths), point, date, rate)

@@ -447,6 +447,7 @@ def deciding_verdict(verification: Verification) -> str:
     points, boxes = len(verification.points), len(verification.boxes)
     scope = "radial axes, " if verification.not_judged else ""
     scope += f"{points} operating point{'s' * (points != 1)}"
+    scope += f", {verification.between}" if verification.between else ""
     scope += f", tolerances at {boxes} of them" if boxes else ""
     ranges = len(verification.ranges)
     scope += f", {ranges} range{'s' * (ranges > 1)}" if ranges else ""

@@ -444,7 +444,7 @@ def _named(item: Record | str | Path, number: int) -> tuple[str, str]:
 
 def _check(machine: Machine, record: Record, number: int) -> None:
     check_machine(machine, record, f"record {number}")
-    check_point(record, f"record {number}")
+    check_point(machine, record, f"record {number}")
     outcome = dict(record.notes).get("outcome", "")
     if outcome.startswith(("touchdown", "diverged", "not levitated")):
         raise InvalidInput(

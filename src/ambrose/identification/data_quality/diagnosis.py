@@ -29,7 +29,7 @@ from ambrose.identification.data_quality.controller import (
     of_another_law,
     resolution_residual,
 )
-from ambrose.identification.data_quality.signals import point_findings, signal_findings
+from ambrose.identification.data_quality.signals import signal_findings
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding, refuse, signal_rows
 from ambrose.identification.frf import Step, phasors
 from ambrose.identification.output_error.normal_equations import distinct
@@ -525,7 +525,6 @@ def machine_findings(machine: Machine, record: Record) -> Iterator[Finding]:
         remedy = "give the machine's own record, or the file of the machine that was recorded"
         yield Finding(Code.OTHER_MACHINE, ERROR, str(refusal), "", remedy)
         return
-    yield from point_findings(machine, record)
     try:
         plant = plant_at(machine, record.point, {})
     except AmbroseError as refusal:

@@ -8,10 +8,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput
-from ambrose.identification.findings import ERROR, WARNING, Code, Finding, signal_rows
+from ambrose.identification.findings import ERROR, WARNING, Code, Finding, refuse, signal_rows
 from ambrose.machine.machine import Machine
+from ambrose.machine.units import DIMENSIONS
+from ambrose.machine.validation.ranges import usual
 from ambrose.record.record import Record
+from ambrose.record.response import Response
 
 _LONG, _FEW = 3, 2  # samples of a flat top, and how many flat tops make it clipping
 # samples at the extreme over those one step below it: 2.4 at the crest of a sine in coarse steps
@@ -25,6 +27,12 @@ _HELD, _FEWEST_HELD = 0.05, 100  # share of a record, and samples, from which a 
 _TWICE = 2.0  # of what the machine file states: beyond it is another unit, or another machine
 _SURFACE = 800.0  # m/s, which no shaft of steel holds
 _NONE, _PASCALS = 0.02, 1e4  # of a pressure, and a pressure [Pa]: what an idle sensor may show
+_SIZES = {
+    "speed": "angular rate",
+    "seal_pressure": "pressure",
+    "bias_current": "current",
+    "whirl_frequency": "angular rate",
+}
 _STEADY = 0.05  # change of speed or pressure within a record, over its largest
 _MEASURED = ("y", "u", "i")
 
@@ -52,7 +60,8 @@ def signal_findings(
     for name in moving:
         findings += _at_limit(machine, record, name, where) or _clipped(record, name, where)
     findings += _stuck(record, [name for name in moving if name[0] == "y"], where)
-    return [*findings, *_repeated(record, moving, where), *_moving_point(record, where)]
+    findings += _repeated(record, moving, where)
+    return [*findings, *_moving_point(record, where), *point_findings(machine, record)]
 
 
 def flat_tops(x: np.ndarray) -> tuple[int, float]:
@@ -166,23 +175,35 @@ def _stuck(record: Record, names: list[str], where: str) -> Iterator[Finding]:
             yield Finding(Code.STUCK, ERROR, what, evidence, remedy)
 
 
-def point_findings(machine: Machine, record: Record) -> Iterator[Finding]:
-    """An operating point that the machine cannot have, and currents that no amplifier of it
-    gives.
+def point_findings(machine: Machine | None, record: Record | Response) -> Iterator[Finding]:
+    """An operating point that the machine (None: any) cannot have, and currents that no amplifier
+    of it gives.
     """
-    point, envelope = record.point, machine.operation.envelope
+    point = record.point
+    signals = {n: record[n] for n in record.signals} if isinstance(record, Record) else {}
     remedy = "correct the record's operating point (its unit, its sign), or the machine file"
 
     def of_point(name: str, value: float, unit: str, allowed: str) -> Finding:
         what = f"{name} of the record's operating point is {value:.4g} {unit}"
-        return Finding(Code.OPERATING_POINT, ERROR, what, f"the machine has {allowed}", remedy)
+        return Finding(Code.OPERATING_POINT, ERROR, what, allowed, remedy)
 
+    for key, dimension in _SIZES.items():
+        value, unit = getattr(point, key) or 0.0, DIMENSIONS[dimension].unit
+        low, high = usual(f"operation.point.{key}", dimension) or (0.0, np.inf)
+        # what stands still turns a little by its encoder, and an idle gauge shows a little
+        if abs(value) > high or (0 < value < low and key == "bias_current"):
+            span = f"{low:.4g} to {high:.4g} {unit} is usual"
+            yield of_point(f"the {key.replace('_', ' ')}", value, unit, span)
+            return
+    envelope = () if machine is None else machine.operation.envelope
     radius = max((part.outer_diameter for part in getattr(machine, "shaft", ())), default=0.0) / 2
-    fastest = max((abs(other.speed) for other in envelope), default=0.0)
+    speeds = () if machine is None else machine.operation.speed_range
+    fastest = max((*speeds, *(other.speed for other in envelope)), default=0.0)
     fastest = _TWICE * fastest or (_SURFACE / radius if radius else np.inf)
-    if abs(point.speed) > fastest:
-        yield of_point("the speed", point.speed, "rad/s", f"at most {fastest:.4g}")
-    biases = [b.bias_current for b in machine.axis_bearings if getattr(b, "bias_current", None)]
+    if point.speed > fastest:
+        yield of_point("the speed", point.speed, "rad/s", f"the machine has at most {fastest:.4g}")
+    bearings = () if machine is None else machine.axis_bearings
+    biases = [b.bias_current for b in bearings if getattr(b, "bias_current", None)]
     biases += [other.bias_current for other in envelope if other.bias_current]
     if point.bias_current is not None and biases:
         low, high = min(biases) / _TWICE, _TWICE * max(biases)
@@ -191,31 +212,32 @@ def point_findings(machine: Machine, record: Record) -> Iterator[Finding]:
                 "the bias current",
                 point.bias_current,
                 "A",
-                ", ".join(f"{b:g}" for b in set(biases)),
+                f"the machine has {', '.join(f'{b:g}' for b in set(biases))}",
             )
     largest = max((abs(other.seal_pressure) for other in envelope), default=0.0)
     own = {"the seal pressure": point.seal_pressure}
-    own |= {n: float(record[n].mean()) for n in record.signals if n.partition("_")[0] == "p"}
+    own |= {n: float(row.mean()) for n, row in signals.items() if n.partition("_")[0] == "p"}
     for name, value in own.items():
         if value < -_NONE * max(largest, _PASCALS):
-            yield of_point(name, value, "Pa", "pressures across a seal of 0 and above")
+            yield of_point(name, value, "Pa", "pressures across a seal are 0 and above")
         if largest and value > 2 * _TWICE * largest:
-            yield of_point(name, value, "Pa", f"at most {largest:.4g}")
-    for axis, bearing in zip(machine.axes, machine.axis_bearings, strict=True):
+            yield of_point(name, value, "Pa", f"the machine has at most {largest:.4g}")
+    for axis, bearing in zip(() if machine is None else machine.axes, bearings, strict=True):
         name, limit = f"i_{axis}", bearing.max_current
-        if limit is None or name not in record.signals:
+        if limit is None or name not in signals:
             continue
-        share = float(np.mean(np.abs(record[name]) > _TWICE * limit))
+        share = float(np.mean(np.abs(signals[name]) > _TWICE * limit))
         if share > _SERIOUS:
             evidence = f"{100 * share:.2g} % of its samples exceed twice the largest, {limit:g} A"
             mend = "record the control current, without the bias, and check its scale"
             yield Finding(Code.SATURATED, ERROR, f"{name} is not a control current", evidence, mend)
 
 
-def check_point(record: Record, where: str) -> None:
-    """Raises InvalidInput for a speed or pressure that changes during the record."""
-    for found in _moving_point(record, where):
-        raise InvalidInput(f"{found.what} ({found.evidence}); {found.remedy}")
+def check_point(machine: Machine, record: Record, where: str) -> None:
+    """Raises InvalidInput for an operating point that changes during the record, or that the
+    machine cannot have.
+    """
+    refuse((*_moving_point(record, where), *point_findings(machine, record)))
 
 
 def _moving_point(record: Record, where: str) -> Iterator[Finding]:

@@ -69,9 +69,16 @@ class Entry:
 @lru_cache
 def ranges() -> tuple[Mapping[str, Any], Mapping[str, Any]]:
     """The rows of the file, as written: (usual, physics) by path."""
+    return rows("usual"), rows("physics")
+
+
+@lru_cache
+def rows(table: str) -> Mapping[str, Any]:
+    """The rows of one of the file's tables, as written, by path: "usual", "width" (of tolerances,
+    relative), "relation", "physics".
+    """
     text = files("ambrose.machine.validation").joinpath("ranges.toml").read_text(encoding="utf-8")
-    document = tomllib.loads(text)
-    return dict(_rows(document["usual"])), dict(_rows(document["physics"]))
+    return dict(_rows(tomllib.loads(text)[table]))
 
 
 def _rows(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
@@ -83,9 +90,9 @@ def _rows(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]
 
 
 @lru_cache(maxsize=1024)
-def usual(path: str, dimension: str) -> tuple[float, float] | None:
+def usual(path: str, dimension: str, table: str = "usual") -> tuple[float, float] | None:
     """[least, most] in SI that a key usually has; None where the file says nothing."""
-    row = ranges()[0].get(path)
+    row = rows(table).get(path)
     if not isinstance(row, list):
         return None
     kind = DIMENSIONS[dimension]
@@ -174,17 +181,16 @@ def _numeric(part: type) -> tuple[tuple[str, str, str], ...]:
 
 
 def _widths(part: Tolerance, path: str, where: str) -> Iterator[Entry]:
-    if part.relative is not None:
-        yield Entry(where, f"{path}.relative", "ratio", (part.relative,))
-    if part.absolute is None:
-        return
     try:
         parameter = parse_parameter(part.parameter)
     except InvalidInput:
         return  # the path itself is refused
     held = f"{parameter.table}.{parameter.quantity}"
-    width = (part.absolute,)
-    yield Entry(where, f"{path}.absolute", parameter.dimension, width, _HELD_IN.get(held, held))
+    held = _HELD_IN.get(held, held)
+    if part.relative is not None:
+        yield Entry(where, f"{path}.relative", "ratio", (part.relative,), f"width.{held}")
+    if part.absolute is not None:
+        yield Entry(where, f"{path}.absolute", parameter.dimension, (part.absolute,), held)
 
 
 def _flat(value: Any) -> tuple[float, ...]:
@@ -223,11 +229,15 @@ def implausible(machine: MachineDescription, under: tuple[str, ...] = ("",)) -> 
     for entry in numbers_of(machine):
         if not entry.path.startswith(under):
             continue
-        row, kind = ranges()[0].get(entry.of or entry.path), DIMENSIONS[entry.dimension]
-        span = usual(entry.of or entry.path, entry.dimension)
+        kind = DIMENSIONS[entry.dimension]
+        table, path = "usual", entry.of or entry.path
+        if path.startswith("width."):
+            table, path = "width", path.removeprefix("width.")
+            table, path = (table, path) if path in rows(table) else ("usual", entry.path)
+        row, span = rows(table).get(path), usual(path, entry.dimension, table)
         if span is None or row is None:
             continue
-        low, high = (-span[1], span[1]) if entry.of else span
+        low, high = (-span[1], span[1]) if entry.of == path else span
         outside = [value for value in entry.values if value and not low <= value <= high]
         if outside:
             found.setdefault(entry.path, []).append(
