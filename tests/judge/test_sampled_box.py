@@ -6,12 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.linalg as sla
+from tests.pole_sets import matched
 
+from ambrose.core.checks import NumericalFailure
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
-from ambrose.core.statespace import select
+from ambrose.core.statespace import StateSpace, feedback, poles, select, series, static_gain
 from ambrose.judge.result import certify
-from ambrose.judge.sampled import check_over_box, sampled_box
+from ambrose.judge.sampled import SampledBox, check_over_box, sampled_box
 from ambrose.law.loop import Timing, match_controller
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import Tolerance
@@ -77,3 +80,70 @@ def test_the_worst_member_is_confirmed_by_its_own_norm(loop):
         member = perturbed(plant, box.named(corner), held)
         worst = max(worst, certify(member, controller, margins=False).closed_loop_norm)
     assert check.value == pytest.approx(worst, rel=1e-4)
+
+
+def test_poles_of_all_members_are_those_of_each(loop):
+    """The stack against every member assembled, sampled and closed by itself."""
+    plant, controller, held = loop
+    box = sampled_box(plant, controller, held)
+    members = np.random.default_rng(3).uniform(-1, 1, (4, len(held)))
+    stack = np.exp(5e-5 * box.closed_loop_poles(members))
+    for delta, found in zip(members, stack, strict=True):
+        member = perturbed(plant, box.named(delta), held)
+        sampled = c2d(select(member.system, member.named("u"), member.named("y")), 5e-5)
+        unit = static_gain(np.eye(len(plant.axes)), dt=5e-5)
+        z = poles(feedback(series(controller, sampled), unit))
+        np.testing.assert_allclose(matched(found, z), z, rtol=1e-9, atol=1e-9)
+
+
+def random_box(rng, n, r, a, direct):
+    """A box of r parameters, of which the first has two channels; everything of D filled."""
+    channels = r + 1
+    system, law = (
+        StateSpace(
+            rng.normal(size=(states, states)) * scale,
+            rng.normal(size=(states, m)),
+            rng.normal(size=(p, states)),
+            direct * rng.normal(size=(p, m)),
+            dt=dt,
+        )
+        for states, m, p, scale, dt in (
+            (n, channels + a, channels + a, 0.3 / 1e-3 / np.sqrt(n), None),
+            (3, a, a, 0.4, 1e-3),
+        )
+    )
+    return SampledBox(law, (), system, None, np.array([0, *range(r)]))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_poles_of_random_loops_against_matrices_closed_one_by_one(seed):
+    """Own formulas: the parameters, the hold and the controller closed member by member."""
+    rng = np.random.default_rng(seed)
+    n, r, a = rng.integers(2, 30), rng.integers(1, 5), rng.integers(1, 4)
+    box = random_box(rng, n, r, a, 0.15)
+    members = rng.uniform(-1, 1, (5, r))
+    s, K, c = box.system, box.controller, r + 1
+    for delta, found in zip(members, box.closed_loop_poles(members), strict=True):
+        gain = np.diag(delta[box.owner])
+        inner = np.linalg.solve(np.eye(c) - gain @ s.D[:c, :c], gain)
+        A = s.A + s.B[:, :c] @ inner @ s.C[:c]
+        B = s.B[:, c:] + s.B[:, :c] @ inner @ s.D[:c, c:]
+        C = s.C[c:] + s.D[c:, :c] @ inner @ s.C[:c]
+        D = s.D[c:, c:] + s.D[c:, :c] @ inner @ s.D[:c, c:]
+        E = sla.expm(1e-3 * np.block([[A, B], [np.zeros((a, n + a))]]))
+        # x+ = Ad x + Bd u, e = -C x - D u, u = Ck xk + Dk e
+        M = np.linalg.inv(np.block([[np.eye(a), D], [-K.D, np.eye(a)]]))
+        eu = M @ np.block([[np.zeros((a, 3)), -C], [K.C, np.zeros((a, n))]])
+        whole = sla.block_diag(K.A, E[:n, :n]) + sla.block_diag(K.B, E[:n, n:]) @ eu
+        z = np.linalg.eigvals(whole)
+        np.testing.assert_allclose(matched(np.exp(1e-3 * found), z), z, rtol=1e-9, atol=1e-9)
+
+
+def test_a_member_with_an_algebraic_loop_is_refused():
+    box = random_box(np.random.default_rng(0), 3, 1, 1, 0.0)
+    D = box.system.D.copy()
+    D[0, 0] = 2.0  # 1 - 2 delta = 0
+    s = box.system
+    box = replace(box, system=StateSpace(s.A, s.B, s.C, D, s.inputs, s.outputs))
+    with pytest.raises(NumericalFailure, match="algebraic"):
+        box.closed_loop_poles(np.array([[0.1], [0.5]]))

@@ -31,19 +31,26 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, check_finite, check_shape, invalid, names_wrong_types
+from ambrose.core.checks import (
+    InvalidInput,
+    check_finite,
+    check_shape,
+    invalid,
+    named_failure,
+    names_wrong_types,
+)
 from ambrose.core.presentation import Presented, to_plain
 from ambrose.core.statespace import (
     ControllerLike,
     StateSpace,
     append,
     as_statespace,
+    check_loop,
     close,
     match_signals,
     poles,
     rename,
     select,
-    static_gain,
 )
 
 _PER_DECADE = 9  # points of a grid
@@ -200,9 +207,16 @@ def lft(plant: GeneralizedPlant, controller: ControllerLike) -> StateSpace:
             "match u and y",
         )
     controller = match_signals(controller, plant.y, plant.u)
-    return _star(
-        plant.system, controller, list(plant.w), list(plant.z), list(plant.u), list(plant.y)
-    )
+    inner = rename(controller, [f"from {y}" for y in plant.y], [f"to {u}" for u in plant.u])
+    joined = append(plant.system, inner)
+
+    # Both systems side by side; u gets the controller's outputs, its inputs get y.
+    loop = np.zeros((len(joined.inputs), len(joined.outputs)))
+    for u in plant.u:
+        loop[joined.inputs.index(u), joined.outputs.index(f"to {u}")] = 1.0
+    for y in plant.y:
+        loop[joined.inputs.index(f"from {y}"), joined.outputs.index(y)] = 1.0
+    return select(close(joined, loop), plant.w, plant.z)
 
 
 def close_uncertainty(
@@ -241,26 +255,31 @@ def close_uncertainty(
         check_shape(value, f"delta of {block.name}", "(w, z)", w=block.n_w, z=block.n_z)
         gain[i : i + block.n_w, j : j + block.n_z] = value
         i, j = i + block.n_w, j + block.n_z
-    w, z = plant.w[: plant.n_w_blocks], plant.z[: plant.n_z_blocks]
-    keep_in = [*plant.w[plant.n_w_blocks :], *plant.u]
-    keep_out = [*plant.z[plant.n_z_blocks :], *plant.y]
-    return _star(plant.system, static_gain(gain), keep_in, keep_out, list(w), list(z))
+    rest = plant.system.inputs[plant.n_w_blocks :], plant.system.outputs[plant.n_z_blocks :]
+    return StateSpace(*upper_lft(plant.system, gain), *rest, plant.system.dt)
 
 
-def _star(
-    system: StateSpace, gain: StateSpace, w: list[str], z: list[str], u: list[str], y: list[str]
-) -> StateSpace:
-    """Close u = gain y on ``system`` and keep w -> z."""
-    inner = rename(gain, [f"from {name}" for name in y], [f"to {name}" for name in u])
-    joined = append(system, inner)
+@named_failure("the closed loop")
+def upper_lft(
+    system: StateSpace, gain: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """A (..., n, n), B (..., n, m), C (..., p, n) and D (..., p, m) of the system with w = gain z
+    closed: its leading inputs w and outputs z, for every gain (..., w, z) of a stack.
 
-    # Both systems side by side; u gets the gain's outputs, the gain's inputs get y.
-    loop = np.zeros((len(joined.inputs), len(joined.outputs)))
-    for name in u:
-        loop[joined.inputs.index(name), joined.outputs.index(f"to {name}")] = 1.0
-    for name in y:
-        loop[joined.inputs.index(f"from {name}"), joined.outputs.index(name)] = 1.0
-    return select(close(joined, loop), w, z)
+    Raises NumericalFailure for an algebraic loop without a solution.
+    """
+    n_w, n_z = gain.shape[-2:]
+    B1, B2 = system.B[:, :n_w], system.B[:, n_w:]
+    C1, C2 = system.C[:n_z], system.C[n_z:]
+    D11, D12 = system.D[:n_z, :n_w], system.D[:n_z, n_w:]
+    D21, D22 = system.D[n_z:, :n_w], system.D[n_z:, n_w:]
+
+    # w = gain (I - D11 gain)^-1 (C1 x + D12 u)
+    inner = D11 @ gain
+    check_loop(inner)
+    feed = gain @ np.linalg.inv(np.eye(n_z) - inner)
+    by_state, by_input = feed @ C1, feed @ D12
+    return system.A + B1 @ by_state, B2 + B1 @ by_input, C2 + D21 @ by_state, D22 + D21 @ by_input
 
 
 def design_grid(plant: GeneralizedPlant) -> np.ndarray:

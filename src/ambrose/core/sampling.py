@@ -115,7 +115,7 @@ def _zoh(system: StateSpace, dt: float, fraction: float) -> StateSpace:
     C = system.C
     D = system.D
     # the part of the interval in which the newest input acts
-    early, gain_early = _held(A, B, dt - fraction)
+    early, gain_early = held(A, B, dt - fraction)
     if fraction == 0.0:
         return StateSpace(early, gain_early, C, D, system.inputs, system.outputs, dt)
 
@@ -123,7 +123,7 @@ def _zoh(system: StateSpace, dt: float, fraction: float) -> StateSpace:
     # the integral of exp(A s) B over 0..t:
     # x[k+1] = exp(A (dt - f)) (exp(A f) x + Gam(f) u[k-1]) + Gam(dt - f) u[k],   y = C x + D u[k-1]
     n, m = B.shape
-    held_A, gain_late = _held(A, B, fraction)
+    held_A, gain_late = held(A, B, fraction)
     return StateSpace(
         np.block([[early @ held_A, early @ gain_late], [np.zeros((m, n + m))]]),
         np.vstack([gain_early, np.eye(m)]),
@@ -135,27 +135,26 @@ def _zoh(system: StateSpace, dt: float, fraction: float) -> StateSpace:
     )
 
 
-def _held(A: np.ndarray, B: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
-    """exp(A t) and the integral of exp(A s) B over 0..t, from one exponential (Van Loan 1978) of
-    the balanced matrix.
+def held(A: np.ndarray, B: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
+    """exp(A t) and the integral of exp(A s) B over 0..t, for A (..., n, n) and B (..., n, m), from
+    one exponential (Van Loan 1978) of the balanced matrix.
 
     B is scaled to the size of A: without both scalings large entries cost as many squarings, and
     digits.
     """
-    n, m = B.shape
+    n, m = B.shape[-2:]
     A, t = balance(A)
     B = B / t[:, None]
 
     # A power of two that makes B as large as A, or as 1/time where A is smaller.
-    size = np.exp2(np.round(np.log2(max(_size(A), 1 / time) / max(_size(B), 1e-280))))
+    largest, wanted = (float(np.abs(X).sum(axis=-2).max(initial=0.0)) for X in (B, A))
+    size = np.exp2(np.round(np.log2(max(wanted, 1 / time) / max(largest, 1e-280))))
 
     # exp([[A, B], [0, 0]] t) = [[exp(A t), integral of exp(A s) B], [0, I]]; x = diag(t) z
-    E = sla.expm(np.block([[A, B * size], [np.zeros((m, n + m))]]) * time)
-    return E[:n, :n] * t[:, None] / t, E[:n, n:] * t[:, None] / size
-
-
-def _size(X: np.ndarray) -> float:
-    return float(np.abs(X).sum(axis=0).max(initial=0.0))
+    joint = np.zeros((*A.shape[:-2], n + m, n + m))
+    joint[..., :n, :n], joint[..., :n, n:] = A * time, B * size * time
+    E = sla.expm(joint)
+    return E[..., :n, :n] * t[:, None] / t, E[..., :n, n:] * t[:, None] / size
 
 
 def _mapped(system: StateSpace, dt: float, ahead: float, behind: float) -> StateSpace:

@@ -35,13 +35,15 @@ def balance_matrix(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Diagonal similarity that evens out row and column norms: T^-1 A T with T = diag(t), and t
     (n,). Exact (powers of 2).
 
-    A (n, n). Source: Parlett & Reinsch 1969 (LAPACK's gebal, without permutations).
+    A (..., n, n); of a stack: one t for all, by their largest entries. Source: Parlett & Reinsch
+    1969 (LAPACK's gebal, without permutations).
     """
-    if A.shape[0] == 0:
+    n = A.shape[-1]
+    if n == 0:
         return A, np.ones(0)
-    gebal = sla.lapack.zgebal if np.iscomplexobj(A) else sla.lapack.dgebal
-    balanced, _, _, scale, _ = gebal(A, scale=1, permute=0)
-    return balanced, scale
+    size = np.abs(A).reshape(-1, n, n).max(axis=0)
+    t = sla.lapack.dgebal(size, scale=1, permute=0)[3]
+    return A * t / t[:, None], t
 
 
 def balance_system(
@@ -538,19 +540,24 @@ def close(system: StateSpace, loop: np.ndarray) -> StateSpace:
     """
     loop = check_shape(loop, "loop", "(m, p)", m=len(system.inputs), p=len(system.outputs))
     DL = system.D @ loop
+    check_loop(DL)
     E = np.eye(len(DL)) - DL
-    if E.size and np.abs(1 - np.linalg.eigvals(DL)).min() < 1e-14 * max(
-        1.0, float(np.abs(balance_matrix(DL)[0]).max())
-    ):
-        raise NumericalFailure(
-            "the loop is algebraic (I - D L is singular); add a sample of delay or a roll-off pole"
-        )
     # y = E^-1 (C x + D r)
     C, D = np.linalg.solve(E, system.C), np.linalg.solve(E, system.D)
     BL = system.B @ loop
     return StateSpace(
         system.A + BL @ C, system.B + BL @ D, C, D, system.inputs, system.outputs, system.dt
     )
+
+
+def check_loop(DL: np.ndarray) -> None:
+    """Raises NumericalFailure where I - DL is singular, for a stack (..., p, p)."""
+    if DL.any() and np.abs(1 - np.linalg.eigvals(DL)).min() < 1e-14 * max(
+        1.0, float(np.abs(balance_matrix(DL)[0]).max())
+    ):
+        raise NumericalFailure(
+            "the loop is algebraic (I - D L is singular); add a sample of delay or a roll-off pole"
+        )
 
 
 def connect(

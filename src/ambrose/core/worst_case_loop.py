@@ -23,7 +23,7 @@ import scipy.linalg as sla
 
 from ambrose.core.checks import UnstableSystem, check_shape, invalid, memberwise, named_failure
 from ambrose.core.frequency import largest_gain
-from ambrose.core.lft import Block, RealBlock
+from ambrose.core.lft import Block, RealBlock, upper_lft
 from ambrose.core.mu.all_frequencies import Chords, chords
 from ambrose.core.mu.structure import osborne, structure_of
 from ambrose.core.statespace import StateSpace, as_statespace, is_stable, spectral_abscissa
@@ -267,7 +267,8 @@ def count_unstable(loop: BoxLoop, delta: np.ndarray, start: Sweep) -> tuple[np.n
         _restless(used.omega, h, rate).any(axis=1) | (np.abs(-turns - count) > 0.1) | (count < 0)
     )
     for i in np.flatnonzero(unclear):
-        count[i] = (np.linalg.eigvals(perturbed_matrix(loop, delta[i])).real >= 0).sum()
+        closed = upper_lft(loop.system, np.diag(delta[i, loop.owner]))[0]
+        count[i] = (np.linalg.eigvals(closed).real >= 0).sum()
     return count.astype(int), start
 
 
@@ -307,13 +308,6 @@ def _determinants(part: Sweep, loop: BoxLoop, delta: np.ndarray) -> tuple[np.nda
     rate[h == 0] = np.inf
     rate[:, (part.omega == 0) | np.isinf(part.omega)] = 0.0
     return h, rate
-
-
-def perturbed_matrix(loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
-    """The state matrix of the loop at delta (k,)."""
-    n, s = len(loop.owner), loop.system
-    D = np.diag(delta[loop.owner])
-    return s.A + s.B[:, :n] @ D @ np.linalg.solve(np.eye(n) - s.D[:n, :n] @ D, s.C[:n])
 
 
 # Many points of a box of real parameters at once: the determinant and the closed loop at each, over

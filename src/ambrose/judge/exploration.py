@@ -25,11 +25,12 @@ from ambrose.core.checks import (
     invalid,
     named_failure,
 )
-from ambrose.core.lft import GeneralizedPlant, lft
+from ambrose.core.lft import GeneralizedPlant, lft, upper_lft
 from ambrose.core.presentation import Presented
+from ambrose.core.sampling import held
 from ambrose.core.statespace import StateSpace, spectral_abscissa
 from ambrose.core.worst_case import gain_bound, worst_gain_at
-from ambrose.core.worst_case_loop import BoxLoop, box_loop, box_points, gains, perturbed_matrix
+from ambrose.core.worst_case_loop import BoxLoop, box_loop, box_points, gains
 from ambrose.judge.campbell import damping_ratio
 from ambrose.judge.checks import Curve
 from ambrose.judge.plants import (
@@ -298,15 +299,12 @@ def pulse_family(
     force [N], width [s] (infinite: a step). The pulse's edges and the samples, ``step`` [s] apart,
     are met exactly (matrix exponentials). Raises InvalidInput, UnstableSystem.
     """
-    from scipy.linalg import expm
-
     loop = loop_over_box(plant, controller, [f"f_{port}"], outputs, tolerances)
     members = (
         box_points(loop.parameters)
         if delta is None
         else check_shape(delta, "delta", "(d, k)", k=loop.parameters)
     )
-    n, s = len(loop.owner), loop.system
     on = round(min(width, 2 * duration) / step)
     if width < duration and abs(on * step - width) > 1e-6 * step:
         raise invalid(
@@ -320,23 +318,14 @@ def pulse_family(
     stable = np.empty(len(members), bool)
     for first in range(0, len(members), _BLOCK):
         block = members[first : first + _BLOCK]
-        A = np.array([perturbed_matrix(loop, row) for row in block])
+        A, B, C, D = upper_lft(loop.system, block[:, loop.owner, None] * np.eye(len(loop.owner)))
         stable[first : first + _BLOCK] = np.linalg.eigvals(A).real.max(axis=1) < 0
-        wide = block[:, loop.owner][:, None, :]
-        inner = np.linalg.inv(np.eye(n) - s.D[:n, :n] * wide)
-        feed = inner @ s.D[:n, n:]
-        B = s.B[:, n:] + (s.B[:, :n] * wide) @ feed
-        C = s.C[n:] + (s.D[n:, :n] * wide) @ (inner @ s.C[:n])
-        D = s.D[n:, n:] + (s.D[n:, :n] * wide) @ feed
-        size = A.shape[1]
-        both = np.zeros((len(block), size + 1, size + 1))
-        both[:, :size, :size], both[:, :size, size:] = A * step, B * step
-        moved = expm(both)
-        x = np.zeros((len(block), size, 1))
+        Ad, Bd = held(A, B, step)
+        x = np.zeros((len(block), len(loop.system.A), 1))
         for k in range(len(time)):
             u = force if k < on else 0.0
             responses[first : first + _BLOCK, :, k] = (C @ x + D * u)[..., 0]
-            x = moved[:, :size, :size] @ x + moved[:, :size, size:] * u
+            x = Ad @ x + Bd * u
     return PulseFamily(time, responses, np.asarray(members, dtype=float), stable, tuple(outputs))
 
 

@@ -10,17 +10,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import largest_gain
-from ambrose.core.lft import RealBlock
+from ambrose.core.lft import RealBlock, upper_lft
 from ambrose.core.mu.all_frequencies import Chords, modal_chords
-from ambrose.core.sampling import c2d
-from ambrose.core.statespace import StateSpace, feedback, poles, select, series, static_gain
+from ambrose.core.sampling import held
+from ambrose.core.statespace import StateSpace, check_loop
 from ambrose.core.worst_case_loop import box_points, transfers_at
 from ambrose.judge import nominal
 from ambrose.judge.checks import Check, Checks, box_label, information, judge
@@ -33,7 +33,6 @@ from ambrose.model.assemble import bending_modes_of
 from ambrose.model.plant import Plant
 from ambrose.model.uncertainty import (
     default_bending_modes,
-    family,
     in_tolerances,
     perturbed,
     reduce_from,
@@ -80,19 +79,16 @@ class Peak(NamedTuple):
 class SampledBox:
     """S_o of a sampled loop for every value of its tolerances, on the full plant.
 
-    plant: full; controller: sampled, with its delay, err_<axis> to u_<axis>; names (k,): parameters
-    of ``tolerances``; model: chords from (w_delta, u) to (z_delta, y); owner (n,): the parameter
-    that a channel of w_delta belongs to; families: the members of a plant, made as they are asked
-    for.
+    controller: sampled, with its delay, err_<axis> to u_<axis>; names (k,): parameters; system: of
+    the full plant, from (w_delta, u) to (z_delta, y); model: its chords; owner (n,): the parameter
+    that a channel of w_delta belongs to.
     """
 
-    plant: Plant
     controller: StateSpace
-    tolerances: tuple[Tolerance, ...]
     names: tuple[str, ...]
+    system: StateSpace
     model: Chords
     owner: np.ndarray
-    families: dict[Plant, Callable[[Mapping[str, float]], Plant]] = field(default_factory=dict)
 
     @property
     def nyquist(self) -> float:
@@ -118,34 +114,44 @@ class SampledBox:
         # 1 - e^{-j w T} is the same at all aliases
         turn = 1 - np.exp(-1j * omega * dt)
 
-        # sum_k H(j w_k) G(j w_k); the hold is a scalar, so that it may stand after G
-        total = np.zeros(1)
-        for k in range(-ALIASES, ALIASES + 1):
-            alias = omega + 2 * np.pi * k / dt
-            M = self.model.at(np.abs(alias))
-            M = np.where((alias < 0)[:, None, None], M.conj(), M)  # M(-j w) = conj M(j w)
-            hold = turn / (1j * alias * dt)
-            total = total + transfers_at(M, self.owner, delta) * hold[:, None, None]
-        return total
+        # sum_k H(j w_k) G(j w_k), all aliases at once; the hold is a scalar, so that it may stand
+        # after G
+        alias = omega[:, None] + 2 * np.pi / dt * np.arange(-ALIASES, ALIASES + 1)
+        M = self.model.at(np.abs(alias.ravel()))
+        M = np.where((alias.ravel() < 0)[:, None, None], M.conj(), M)  # M(-j w) = conj M(j w)
+        terms = transfers_at(M, self.owner, delta)
+        terms = terms.reshape(len(delta), *alias.shape, *terms.shape[2:])
+        return np.einsum("dwkij,wk->dwij", terms, turn[:, None] / (1j * alias * dt))
 
     def gains(self, omega: np.ndarray, delta: np.ndarray) -> np.ndarray:
         """sigma_max(S_o) (d, w)."""
         return np.asarray(largest_gain(self.sensitivity(omega, delta)))
 
-    def closed_loop_poles(self, delta: np.ndarray, plant: Plant | None = None) -> np.ndarray:
-        """Poles [rad/s] of the sampled loop at a point (k,), ln(z)/T; of the full plant unless a
-        reduced one is given. Modes above half the rate stand at their aliases, where S_o of the
-        samples has them: no damping is read of these.
+    def closed_loop_poles(self, delta: np.ndarray, system: StateSpace | None = None) -> np.ndarray:
+        """Poles (..., n) [rad/s] of the sampled loop at points (..., k), ln(z)/T; of the full plant
+        unless the ``system`` of another one is given. Modes above half the rate stand at their
+        aliases, where S_o of the samples has them: no damping is read of these. A delay's poles at
+        z = 0 have no frequency, and stand at ln(1e-12)/T.
         """
-        source = self.plant if plant is None else plant
-        if source not in self.families:
-            self.families[source] = family(source, self.names, self.tolerances)
-        member = self.families[source](self.named(delta))
-        sampled = c2d(select(member.system, member.named("u"), member.named("y")), self.sample_time)
-        unit = static_gain(np.eye(len(source.axes)), dt=self.sample_time)
-        z = poles(feedback(series(self.controller, sampled), unit))
-        z = z[np.abs(z) > 1e-12]  # a delay's poles at z = 0 have no frequency
-        return np.asarray(np.log(z.astype(complex)) / self.sample_time)
+        # every member of the stack behind its hold
+        gain = delta[..., self.owner, None] * np.eye(len(self.owner))
+        A, B, C, D = upper_lft(self.system if system is None else system, gain)
+        A, B = held(A, B, self.sample_time)
+
+        # u = E (Ck xk - Dk C x), E = (I + Dk D)^-1, y = C x + D u; xk+ = Ak xk - Bk y
+        K = self.controller
+        n = K.n_states
+        inner = -K.D @ D
+        check_loop(inner)
+        E = np.linalg.inv(np.eye(len(K.D)) - inner)
+        u = np.concatenate([E @ K.C, -E @ K.D @ C], axis=-1)
+        y = D @ u
+        y[..., n:] += C
+        loop = np.concatenate([-K.B @ y, B @ u], axis=-2)
+        loop[..., :n, :n] += K.A
+        loop[..., n:, n:] += A
+        z = np.linalg.eigvals(loop).astype(complex)
+        return np.asarray(np.log(np.where(np.abs(z) > 1e-12, z, 1e-12)) / self.sample_time)
 
     def named(self, delta: np.ndarray) -> dict[str, float]:
         """A point (k,) by its parameters' names."""
@@ -244,8 +250,7 @@ def sampled_box(
     blocks = [block for block in model.blocks if isinstance(block, RealBlock)]  # all: tolerances
     owner = np.repeat(np.arange(len(blocks)), [block.repeat for block in blocks])
     names = tuple(block.name for block in blocks)
-    chords = modal_chords(model.system)
-    return SampledBox(plant, controller, tuple(tolerances), names, chords, owner)
+    return SampledBox(controller, names, model.system, modal_chords(model.system), owner)
 
 
 def _response(system: StateSpace, omega: np.ndarray) -> np.ndarray:
@@ -333,17 +338,13 @@ def check_over_box(
 
     # resonances of every member: a reduced plant places them closely enough for a first look
     small = reduce_from(plant, _modes(plant, names)) if plant.bending_modes is None else plant
+    reduced = box.closed_loop_poles(points, open_model(small, tolerances_varied, True).system)
 
     # abscissa of the reduced loop, of the full one too at the first points; light poles of the last
-    abscissa = np.empty(len(points))
-    light: list[np.ndarray] = []
-    for i, point in enumerate(points):
-        poles = box.closed_loop_poles(point, small)
-        abscissa[i] = poles.real.max()
-        if i < _FULL_POINTS:
-            poles = box.closed_loop_poles(point)
-            abscissa[i] = max(abscissa[i], poles.real.max())
-        light.append(box.light(poles))
+    poles = [*box.closed_loop_poles(points[:_FULL_POINTS]), *reduced[_FULL_POINTS:]]
+    abscissa = reduced.real.max(axis=1)
+    abscissa = np.maximum(abscissa, [row.real.max() for row in poles])
+    light = [box.light(row) for row in poles]
 
     # the peak of every member on the grid, which all share but for what lies beside resonances;
     # members whose resonances are alike share that, too
@@ -447,9 +448,10 @@ def _worst(box: SampledBox, peaks: Sequence[Peak], unstable: np.ndarray) -> tupl
         return peaks[0], np.empty(0)
     starts = sorted(stable[1:], key=lambda peak: -peak.value)[:_STARTS]
     best: Peak | None = None
-    for start in (stable[0], *starts):
-        resonances = box.beside(box.closed_loop_poles(start.delta))
-        grid = np.union1d(np.append(box.base_grid(), start.omega), resonances)
+    starts = [stable[0], *starts]
+    poles = box.closed_loop_poles(np.array([start.delta for start in starts]))
+    for start, row in zip(starts, poles, strict=True):
+        grid = np.union1d(np.append(box.base_grid(), start.omega), box.beside(row))
         peak = box.climb(box.peak(start.delta, grid))
         if best is None or peak.value > best.value:
             best = peak

@@ -9,7 +9,7 @@ that acts in several places (k and -k; one bandwidth for all amplifiers) is one 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -152,37 +152,22 @@ def perturbed(
     perturbed plant. The reduction's basis stays the nominal one. Raises InvalidInput for a path
     without tolerance.
     """
-    return family(plant, delta, tolerances)(delta)
-
-
-def family(
-    plant: Plant, paths: Collection[str], tolerances: Sequence[Tolerance] | None = None
-) -> Callable[[Mapping[str, float]], Plant]:
-    """``perturbed`` of one plant for many values of the same parameters ``paths``: what the members
-    share is made once.
-    """
     tolerances = plant.machine.tolerances if tolerances is None else tuple(tolerances)
     kept = {
         offset.parameter: (offset, value)
         for offset, value in plant.offsets
-        if offset.parameter not in paths
+        if offset.parameter not in delta
     }
-    nominal = replace(plant, offsets=())
     every = [
         *(t for t in tolerances if t.parameter not in kept),
         *(offset for offset, _ in kept.values()),
     ]
-    model = uncertain(nominal, every)
-
-    def member(delta: Mapping[str, float]) -> Plant:
-        values = {**{path: value for path, (_, value) in kept.items()}, **delta}
-        system = close_uncertainty(model, values)
-        offsets = tuple((t, float(values[t.parameter])) for t in every if values.get(t.parameter))
-        return replace(
-            plant, system=select(system, plant.system.inputs, plant.system.outputs), offsets=offsets
-        )
-
-    return member
+    values = {**{path: value for path, (_, value) in kept.items()}, **delta}
+    system = close_uncertainty(uncertain(replace(plant, offsets=()), every), values)
+    offsets = tuple((t, float(values[t.parameter])) for t in every if values.get(t.parameter))
+    return replace(
+        plant, system=select(system, plant.system.inputs, plant.system.outputs), offsets=offsets
+    )
 
 
 def in_tolerances(delta: Mapping[str, float]) -> str:
