@@ -3,6 +3,7 @@ are not those of the machine file.
 """
 
 import json
+import re
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path as FilePath
@@ -339,6 +340,35 @@ def test_what_does_not_tell_is_refused_in_one_sentence():
         with pytest.raises(InvalidInput, match=words) as error:
             judged(response, law, ran)
         assert "\n" not in str(error.value) and "; " in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "factor"),
+    [("T", 1.3), ("T", 2.0), ("T", 0.7), ("motion", 2.0), ("G", 2.0), ("S", 1.4)],
+)
+def test_a_scale_that_is_wrong_is_named(kind, factor):
+    """On a plant whose magnets are 20 % off, which no scale is."""
+    law = running()
+    whole = sweep(Truth.of((0.2, -0.2), -0.1), law[1], kind)
+    wrong = [replace(p, values=factor * p.values) for p in whole.paths]
+    with pytest.raises(InvalidInput, match=r"A_zeta is about [\d.]+ times what .* its scale"):
+        judged(replace(whole, paths=tuple(wrong)), law, ran=kind != "G")
+
+
+def test_lines_out_of_phase_are_never_said_to_agree():
+    """One line in nine turned over, of which never two lie side by side."""
+
+    def top(response):
+        said = judged(response, law).notes[0]
+        found = re.search(r"agree within 10 % and 10 degrees up to ([\d.]+)", said)
+        return None if found is None else float(found[1])
+
+    law = running()
+    whole = sweep(Truth.of((0.02, -0.02)), law[1])
+    assert top(whole) > 1000
+    turn = np.where(np.arange(len(HERTZ)) % 9 == 1, -1.0, 1.0)
+    turned = tuple(replace(p, values=turn * p.values) for p in whole.paths)
+    assert top(replace(whole, paths=turned)) is None
 
 
 def test_from_the_command_line(tmp_path):

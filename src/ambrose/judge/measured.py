@@ -46,11 +46,17 @@ from ambrose.machine.criteria import SENSITIVITY, TWO_PI, Demand, demand
 from ambrose.model.plant import Plant, top_speed
 from ambrose.record.response import (
     CURRENT,
+    SCATTER_DOF,
     SENSOR,
+    Agreement,
     Path,
     Response,
+    agreement,
+    cubic,
     distance,
     predicted,
+    scale_error,
+    scatter,
     usable,
     whole,
 )
@@ -62,7 +68,6 @@ _LEAST = 0.002  # damping that is assumed of a resonance that a line shows and n
 _NEAR = 0.2  # relative, about a mode of the machine file in which its damping is assumed
 _BETWEEN = 6  # steps between two lines
 _COVERAGE = 0.05  # what all lines together may miss by chance
-_SCATTER_DOF = 20  # of a variance that the lines' own scatter tells
 _LOUD = 2.0  # scatter over the stated variance from which the scatter counts
 _LIGHT = 0.3  # damping ratio of a mode that may hide between lines
 _OUTSIDE = 1e-7  # of the circle outside the unit circle: an integrator counts as stable
@@ -70,7 +75,6 @@ _ALIKE = 0.8  # of the largest singular value, from which others move with it
 _RAN = 0.05  # by which a path may be off what the others and the running controller make
 _OTHER = 0.3  # by which the plant may be off the machine file's
 _BEYOND = 0.5  # loop gain that the model may have beyond the last line: half of what turns anything
-_VALID = 0.1, np.radians(10.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,48 +152,15 @@ def _filled(
     for (i, j), same in cells.items():
         weights = []
         for path in same:
-            scatter = _scatter(omega, path.values)
+            alone = scatter(omega, path.values)
             known = path.variance
-            ratio = np.inf if known is None else float(np.median(scatter / known))
-            dof = _SCATTER_DOF if ratio > _LOUD else dof
-            weights.append(1 / (scatter if known is None else known * max(ratio / _LOUD, 1.0)))
+            ratio = np.inf if known is None else float(np.median(alone / known))
+            dof = SCATTER_DOF if ratio > _LOUD else dof
+            weights.append(1 / (alone if known is None else known * max(ratio / _LOUD, 1.0)))
         total = np.sum(weights, axis=0)
         X[:, i, j] = np.sum([w * p.values for w, p in zip(weights, same, strict=True)], 0) / total
         variance[:, i, j] = 1 / total
     return Lines(kind, omega, X, variance, dof)
-
-
-def _cubic(x: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """Lagrange's weights (w, 4) at x (w,) of nodes (w, 4)."""
-    weights = np.ones(nodes.shape)
-    for i in range(4):
-        for m in range(4):
-            if m != i:
-                weights[:, i] *= (x - nodes[:, m]) / (nodes[:, i] - nodes[:, m])
-    return weights
-
-
-def _left_out(omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The four lines nearest to every one, (w, 4), and their weights in what they tell of it."""
-    x, n = np.log(omega), len(omega)
-    first = np.clip(np.arange(n) - 2, 0, n - 5)
-    window = first[:, None] + np.arange(5)
-    others = window[window != np.arange(n)[:, None]].reshape(n, 4)
-    return others, _cubic(x, x[others])
-
-
-def _scatter(omega: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Variance (w,) of values (w,): the median over twenty lines of what each is off the cubic
-    through its neighbours, which a resonance that few lines show does not move.
-    """
-    others, weights = _left_out(omega)
-    miss = np.abs(values - np.einsum("wk,wk->w", weights, values[others])) ** 2
-    miss /= 1 + (weights**2).sum(axis=1)
-    n, half = len(omega), min(_SCATTER_DOF // 2, len(omega) // 2)
-    middle = np.clip(np.arange(n), half, n - 1 - half)
-    around = middle[:, None] + np.arange(-half, half + 1)
-    floor = (1e-9 * np.abs(values).max()) ** 2
-    return np.asarray(np.median(miss[around], axis=1) / np.log(2) + floor)
 
 
 def _even(omega: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -212,7 +183,7 @@ def _even(omega: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         for row, found in enumerate((before, after)):
             nodes[k, row] = np.sort(list(dict.fromkeys([*found[:4], *spare]))[:4])
     ends = np.stack([np.arange(n - 1), np.arange(1, n)], axis=1)
-    weights = _cubic(x[ends].ravel(), x[nodes].reshape(-1, 4)).reshape(nodes.shape)
+    weights = cubic(x[ends].ravel(), x[nodes].reshape(-1, 4)).reshape(nodes.shape)
     return ends, nodes, weights
 
 
@@ -242,7 +213,7 @@ def between(lines: Lines, extra: np.ndarray, modes: np.ndarray) -> Between:
     at = np.clip(np.searchsorted(omega, dense * (1 + 1e-12), side="right") - 1, 0, n - 2)
     nodes = np.clip(at - 1, 0, n - 4)[:, None] + np.arange(4)
     x = np.log(omega)
-    weights = _cubic(np.log(dense), x[nodes])
+    weights = cubic(np.log(dense), x[nodes])
     X = np.einsum("wk,wkij->wij", weights, lines.X[nodes])
     variance = np.einsum("wk,wkij->wij", weights**2, lines.variance[nodes])
 
@@ -598,6 +569,22 @@ class _Model:
         return float(gain.max()), float(omega[high[-1]] if high.size else last)
 
 
+def _refuse_scales(
+    response: Response, axes: Sequence[str], few: np.ndarray, Y: np.ndarray, K_run: np.ndarray
+) -> None:
+    """Raises InvalidInput where a path is several times what the model's Y (w, a, a) makes."""
+    for path in response.paths:
+        if path.read == path.injected:
+            none = np.zeros((0, *Y.shape))
+            made = predicted(path, axes, Y, none, K_run, whole(response, axes))[0]
+            factor = scale_error(replace(path, values=path.values[few]), made[few])
+            if factor is not None:
+                raise InvalidInput(
+                    f"{path.name} is about {factor:.2g} times what the machine file and the "
+                    "running controller make; correct its scale, or give the controller that ran"
+                )
+
+
 def _refuse_others(
     response: Response,
     lines: Lines,
@@ -605,11 +592,17 @@ def _refuse_others(
     K_run: np.ndarray,
     model: _Model,
     ran: bool,
-) -> float:
-    """Up to which frequency [rad/s] model and measurement agree within _VALID on the plant's
-    diagonal; 0 from the first line. Raises InvalidInput where the controller is not the one that
-    ran, or the plant none of this machine.
+) -> Agreement:
+    """Up to which frequency model and measurement agree on the plant's diagonal. Raises
+    InvalidInput where a scale is wrong, the controller is not the one that ran, or the plant none
+    of this machine.
     """
+    # lines as dense everywhere as at their widest, for some are packed about a mode
+    even = np.geomspace(lines.omega[0], lines.omega[-1], 60)
+    few = np.unique(np.searchsorted(lines.omega, even * (1 - 1e-9)))
+    modelled = model.plant(lines.omega)
+    modelled = np.linalg.inv(np.eye(len(axes)) + modelled @ K_run) @ modelled
+    _refuse_scales(response, axes, few, modelled, K_run)
     Y = _motion(lines.kind, lines.X, K_run)[0]
     none = np.zeros((0, *Y.shape))
     for path in response.paths if ran else ():
@@ -628,9 +621,6 @@ def _refuse_others(
             )
     G = np.linalg.inv(_stiffness(lines, K_run))
     own, other = (np.einsum("wii->iw", item) for item in (G, model.plant(lines.omega)))
-    # lines as dense everywhere as at their widest, for some are packed about a mode
-    even = np.geomspace(lines.omega[0], lines.omega[-1], 60)
-    few = np.unique(np.searchsorted(lines.omega, even * (1 - 1e-9)))
     off = distance(list(zip(own[:, few], other[:, few], strict=True)))
     if off > _OTHER:
         raise InvalidInput(
@@ -638,14 +628,9 @@ def _refuse_others(
             f"{off:.0%} off the machine file's; give the controller that ran, and the responses of "
             "this machine"
         )
-    ratio = other / own
-    apart = (np.abs(np.abs(ratio) - 1) > _VALID[0]) | (np.abs(np.angle(ratio)) > _VALID[1])
-    # one line may be off by noise, three in turn are not
-    row = apart[:, :-2] & apart[:, 1:-1] & apart[:, 2:]
-    if not row.any():
-        return float(lines.omega[-1])
-    k = int(np.argmax(row.any(axis=0)))
-    return float(lines.omega[k - 1]) if k else 0.0
+    return agreement(
+        [(lines.omega, Path("G", axis, axis, own[i]), other[i]) for i, axis in enumerate(axes)]
+    )
 
 
 def _checks(
@@ -745,14 +730,13 @@ def _checks(
     return Checks(label, True, tuple(checks), tuple(curves))
 
 
-def _notes(lines: Lines, judged: Judged, valid: float) -> tuple[str, ...]:
+def _notes(lines: Lines, judged: Judged, valid: Agreement) -> tuple[str, ...]:
     k = int(np.argmax(judged.spacing / judged.omega))
     narrow = _SEEN * float(judged.spacing[k] / judged.omega[k])
-    agree = f"agree up to {valid / TWO_PI:.4g} Hz" if valid else "differ from the first line"
     return (
         f"Measured at {len(lines.omega)} lines from {lines.omega[0] / TWO_PI:.4g} to "
-        f"{lines.omega[-1] / TWO_PI:.4g} Hz; outside them the model stands. There model and "
-        f"measured plant {agree} (10 %, 10 degrees).",
+        f"{lines.omega[-1] / TWO_PI:.4g} Hz; outside them the model stands. Of the plant, "
+        f"{valid}.",
         "All intervals together hold with 95 % of the noise. A mode that neither the machine file "
         f"nor a line shows could hide between lines if damped by less than {narrow:.2g} (near "
         f"{judged.omega[k] / TWO_PI:.4g} Hz).",
