@@ -26,7 +26,7 @@ verify_controller(machine, controller, measured=["responses.h5"], running=runnin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path as File
 
@@ -73,6 +73,7 @@ _LIGHT = 0.3  # damping ratio of a mode that may hide between lines
 _OUTSIDE = 1e-7  # of the circle outside the unit circle: an integrator counts as stable
 _ALIKE = 0.8  # of the largest singular value, from which others move with it
 _RAN = 0.05  # by which a path may be off what the others and the running controller make
+_NOTHING = 1e-9  # of the largest entry of a controller
 _OTHER = 0.3  # by which the plant may be off the machine file's
 _BEYOND = 0.5  # loop gain that the model may have beyond the last line: half of what turns anything
 
@@ -98,15 +99,18 @@ class Lines:
         return float(np.sqrt(self.dof / 2 * (share ** (2 / self.dof) - 1)))
 
 
+_KINDS = (
+    ("motion", ("motion",), None),
+    ("T", ("T", "S", "L"), SENSOR),
+    ("K Y", ("T", "S", "L"), CURRENT),
+    ("G", ("G",), None),
+)
+
+
 def lines_of(response: Response, axes: Sequence[str]) -> Lines:
     """The first kind of response that is there between all axes. Raises InvalidInput."""
     found = {}
-    for kind, quantities, at in (
-        ("motion", ("motion",), None),
-        ("T", ("T", "S", "L"), SENSOR),
-        ("K Y", ("T", "S", "L"), CURRENT),
-        ("G", ("G",), None),
-    ):
+    for kind, quantities, at in _KINDS:
         cells: dict[tuple[int, int], list[Path]] = {}
         for path in response.paths:
             if path.quantity in quantities and at in {None, path.at}:
@@ -125,8 +129,68 @@ def lines_of(response: Response, axes: Sequence[str]) -> Lines:
     raise InvalidInput(
         f"{len(missing)} of {len(axes) ** 2} responses between the axes are missing, the first of "
         f"{missing[0]}: another controller couples all axes; sweep every axis while all "
-        "displacements are recorded, or identify the machine from what is there"
+        "displacements are recorded, change one axis at a time, or identify the machine from what "
+        "is there"
     )
+
+
+def own_lines(response: Response, axes: Sequence[str], K: np.ndarray) -> dict[int, Lines]:
+    """By axis what was measured of it alone, the other loops closed; K (w, a, a): that ran. All but
+    T at the sensor tells an axis only where its controller has nothing to do with the others.
+    """
+    found = {}
+    for i, axis in enumerate(axes):
+        for kind, quantities, at in (_KINDS[1], *(_KINDS if apart(K, i) else ())):
+            same = [
+                _as_closed(path)
+                for path in response.paths
+                if path.quantity in quantities
+                and at in {None, path.at}
+                and path.read == path.injected == axis
+            ]
+            if same:
+                found[i] = _filled(kind, response.omega, {(0, 0): same}, 1)
+                break
+    return found
+
+
+def apart(K: np.ndarray, axis: int) -> bool:
+    """Whether an axis of K (w, a, a) has nothing to do with the others."""
+    size = np.abs(K).max(axis=0)
+    beside = (
+        np.delete(size[axis], axis).max(initial=0.0),
+        np.delete(size[:, axis], axis).max(initial=0),
+    )
+    return bool(max(beside) <= _NOTHING * size.max())
+
+
+def sensitivity_of(
+    response: Response, axes: Sequence[str], K: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Output sensitivity S (w, a, a) of the loop with K (w, a, a) that ran, the deviation (w, a) of
+    its diagonal, and that (w,) of its largest singular value; NaN where it was not measured. Raises
+    InvalidInput where an axis was not.
+    """
+    n, a = len(response.omega), len(axes)
+    try:
+        blocks = {tuple(range(a)): lines_of(response, axes)}
+    except InvalidInput:
+        own = own_lines(response, axes, K)
+        if len(own) < a:
+            raise
+        blocks = {(i,): lines for i, lines in own.items()}
+    S, sd = np.full((n, a, a), np.nan, complex), np.full((n, a), np.nan)
+    largest = np.full(n, np.nan)
+    for places, lines in blocks.items():
+        part = np.ix_(range(n), places, places)
+        zero = np.zeros(lines.X.shape)
+        points = Between(lines.omega, lines.X, lines.variance, zero, np.ones(n))
+        judged = judge_lines(points, lines, K[part], K[part])
+        S[part] = judged.S
+        sd[:, places] = judged.radius / lines.reach
+        if len(places) == a:
+            largest = judged.largest_radius / lines.reach
+    return S, sd, largest
 
 
 def _as_closed(path: Path) -> Path:
@@ -455,39 +519,88 @@ def check_measured(
     response = usable(response, axes, law.dt)
     if len(response.omega) < _FEW:
         raise invalid("the number of lines", len(response.omega), f"at least {_FEW}", "sweep more")
-    lines = lines_of(response, axes)
-    if ran is None and lines.kind != "G":
+    if ran is None and not response.kind("G"):
         raise InvalidInput(
             "the responses are those of a closed loop, which tell the plant only with the "
             "controller that ran; give it (--running)"
         )
     model = _Model(plant, controller, running, timing)
     at, run_at = controller_at(law, len(axes)), controller_at(ran, len(axes))
-    valid = _refuse_others(response, lines, axes, run_at(lines.omega), model, ran is not None)
     packed = np.concatenate([_poles_of(law), _poles_of(ran)])
-    points = between(lines, packed, model.modes)
-    judged = judge_lines(points, lines, at(points.omega), run_at(points.omega))
-    gain, reached = model.beyond(float(lines.omega[-1]))
-    last = float(np.abs(np.linalg.eigvals(judged.M[-1])).max())
-    if max(gain, last / 2) >= _BEYOND:
-        raise InvalidInput(
-            f"the last line, {lines.omega[-1] / TWO_PI:.4g} Hz, is too low: the loop's gain there "
-            f"is {last:.2g}, and beyond it up to {gain:.2g} by the machine file's model; sweep to "
-            f"{reached / TWO_PI:.4g} Hz"
-        )
-    first = lines.omega <= max(3 * lines.omega[0], lines.omega[5])
-    stiffness = _stiffness(lines, run_at(lines.omega))[first]
-    count = turns(judged, lines.omega[first], stiffness, at, run_at)
-    own, before = _unstable(law), 0 if ran is None else _unstable(ran)
-    open_ = model.unstable if ran is None else 0
-    lost = own - before + open_ - count
+    K, K_run = at(response.omega), run_at(response.omega)
+    try:
+        parts = {tuple(range(len(axes))): lines_of(response, axes)}
+    except InvalidInput as missing:
+        parts = _parts(response, axes, K, K_run, missing)
+    valid = _refuse_others(response, parts, axes, K_run, model, ran is not None)
+    told, lost = [], 0
+    for places, lines in parts.items():
+        block = np.ix_(range(len(K)), places, places)
+
+        def of(there: Controller, places: tuple[int, ...] = places) -> Controller:
+            return lambda omega: there(omega)[np.ix_(range(len(omega)), places, places)]
+
+        points = between(lines, packed, model.modes)
+        judged = judge_lines(points, lines, of(at)(points.omega), of(run_at)(points.omega))
+        told.append(judged)
+        if len(parts) > 1 or np.abs(K - K_run).max() <= _NOTHING * np.abs(K).max():
+            continue  # the loop that ran
+        gain, reached = model.beyond(float(lines.omega[-1]))
+        last = float(np.abs(np.linalg.eigvals(judged.M[-1])).max())
+        if max(gain, last / 2) >= _BEYOND:
+            raise InvalidInput(
+                f"the last line, {lines.omega[-1] / TWO_PI:.4g} Hz, is too low: the loop's gain "
+                f"there is {last:.2g}, and beyond it up to {gain:.2g} by the machine file's model; "
+                f"sweep to {reached / TWO_PI:.4g} Hz"
+            )
+        first = lines.omega <= max(3 * lines.omega[0], lines.omega[5])
+        stiffness = _stiffness(lines, K_run[block])[first]
+        count = turns(judged, lines.omega[first], stiffness, of(at), of(run_at))
+        own, before = _unstable(law), 0 if ran is None else _unstable(ran)
+        open_ = model.unstable if ran is None else 0
+        lost = own - before + open_ - count
     if lost < 0:
         raise InvalidInput(
             f"the responses make {-lost} unstable poles less than none: the controller that ran is "
             "another one, or a resonance lies between two lines; correct the one, sweep the other"
         )
-    checks = _checks(plant, label, lines, judged, lost, model, ran is not None)
+    lines, judged = next(iter(parts.values())), _together(told)
+    named = tuple(i for places in parts for i in places)
+    checks = _checks(plant, label, lines, judged, named, lost, model, ran is not None)
     return replace(checks, notes=_notes(lines, judged, valid))
+
+
+def _parts(
+    response: Response,
+    axes: Sequence[str],
+    K: np.ndarray,
+    K_run: np.ndarray,
+    missing: InvalidInput,
+) -> dict[tuple[int, ...], Lines]:
+    """What single axes tell of K beside K_run (w, a, a): all of them where K ran, and the one that
+    it changes where that has nothing to do with the others; else raises ``missing``.
+
+    With K - K_run = d e_a e_a' of rank one, det(I + Y D) = 1 + Y_aa d and S_aa = S_run,aa/(1 + Y_aa
+    d): (1) and (2) of the axis alone.
+    """
+    own = own_lines(response, axes, K_run)
+    apart_by = np.abs(K - K_run).max(axis=0)
+    either = np.maximum(apart_by.max(axis=0), apart_by.max(axis=1))
+    moved = np.flatnonzero(either > _NOTHING * np.abs(K).max()).tolist()
+    wanted = moved or list(range(len(axes)))
+    alone = all(apart(item, i) for i in moved for item in (K, K_run))
+    if len(moved) > 1 or not alone or not set(wanted) <= set(own):
+        raise missing
+    return {(i,): own[i] for i in wanted}
+
+
+def _together(told: Sequence[Judged]) -> Judged:
+    """Axes that were judged by themselves, S (w, n) on the diagonal of one."""
+    if len(told) == 1:
+        return told[0]
+    S = np.einsum("nw,nm->wnm", [item.S[:, 0, 0] for item in told], np.eye(len(told)))
+    radius = np.concatenate([item.radius for item in told], axis=1)
+    return replace(told[0], S=S, radius=radius)
 
 
 def _unstable(law: StateSpace) -> int:
@@ -587,22 +700,35 @@ def _refuse_scales(
 
 def _refuse_others(
     response: Response,
-    lines: Lines,
+    parts: Mapping[tuple[int, ...], Lines],
     axes: Sequence[str],
     K_run: np.ndarray,
     model: _Model,
     ran: bool,
 ) -> Agreement:
-    """Up to which frequency model and measurement agree on the plant's diagonal. Raises
+    """Up to which frequency model and measurement agree on the plant's diagonal, or on that of an
+    axis with the other loops closed. Raises
     InvalidInput where a scale is wrong, the controller is not the one that ran, or the plant none
     of this machine.
     """
     # lines as dense everywhere as at their widest, for some are packed about a mode
-    even = np.geomspace(lines.omega[0], lines.omega[-1], 60)
-    few = np.unique(np.searchsorted(lines.omega, even * (1 - 1e-9)))
-    modelled = model.plant(lines.omega)
-    modelled = np.linalg.inv(np.eye(len(axes)) + modelled @ K_run) @ modelled
-    _refuse_scales(response, axes, few, modelled, K_run)
+    omega = response.omega
+    even = np.geomspace(omega[0], omega[-1], 60)
+    few = np.unique(np.searchsorted(omega, even * (1 - 1e-9)))
+    modelled = model.plant(omega)
+    closed = np.linalg.inv(np.eye(len(axes)) + modelled @ K_run) @ modelled
+    _refuse_scales(response, axes, few, closed, K_run)
+    lines = next(iter(parts.values()))
+    if lines.X.shape[1] < len(axes):
+        # G_a = (1/Y_aa - k_a)^-1, the other loops closed
+        pairs = {
+            places[0]: [
+                1 / _stiffness(one, K_run[:, [[places[0]]], [[places[0]]]])[:, 0, 0],
+                1 / (1 / closed[:, places[0], places[0]] - K_run[:, places[0], places[0]]),
+            ]
+            for places, one in parts.items()
+        }
+        return _agreed(omega, axes, pairs, few, ran)
     Y = _motion(lines.kind, lines.X, K_run)[0]
     none = np.zeros((0, *Y.shape))
     for path in response.paths if ran else ():
@@ -620,8 +746,20 @@ def _refuse_others(
                 "make; give the controller that ran (--running), or correct that path"
             )
     G = np.linalg.inv(_stiffness(lines, K_run))
-    own, other = (np.einsum("wii->iw", item) for item in (G, model.plant(lines.omega)))
-    off = distance(list(zip(own[:, few], other[:, few], strict=True)))
+    own, other = (np.einsum("wii->iw", item) for item in (G, modelled))
+    pairs = {i: [own[i], other[i]] for i in range(len(axes))}
+    return _agreed(omega, axes, pairs, few, ran)
+
+
+def _agreed(
+    omega: np.ndarray,
+    axes: Sequence[str],
+    pairs: Mapping[int, Sequence[np.ndarray]],
+    few: np.ndarray,
+    ran: bool,
+) -> Agreement:
+    """Of measured and modelled plants (w,) by axis. Raises InvalidInput where they are of two."""
+    off = distance([(own[few], other[few]) for own, other in pairs.values()])
     if off > _OTHER:
         raise InvalidInput(
             f"the plant that these responses {'and the running controller ' if ran else ''}make is "
@@ -629,15 +767,25 @@ def _refuse_others(
             "this machine"
         )
     return agreement(
-        [(lines.omega, Path("G", axis, axis, own[i]), other[i]) for i, axis in enumerate(axes)]
+        [(omega, Path("G", axes[i], axes[i], own), other) for i, (own, other) in pairs.items()]
     )
 
 
 def _checks(
-    plant: Plant, label: str, lines: Lines, judged: Judged, lost: int, model: _Model, ran: bool
+    plant: Plant,
+    label: str,
+    lines: Lines,
+    judged: Judged,
+    told: tuple[int, ...],
+    lost: int,
+    model: _Model,
+    ran: bool,
 ) -> Checks:
-    """The verdict, every figure by the unfavourable end of its interval."""
-    requirements, axes = plant.machine.requirements, plant.axes
+    """The verdict, every figure by the unfavourable end of its interval; told: the axes of judged,
+    by themselves where they were not measured together.
+    """
+    requirements, axes = plant.machine.requirements, [plant.axes[i] for i in told]
+    whole = lines.X.shape[1] == len(plant.axes)
     by = (
         "by det(I + G K)/det(I + G K_run) against the loop that ran"
         if ran
@@ -661,13 +809,31 @@ def _checks(
     within = judged.omega <= highest
     omega = judged.omega[within]
     S = np.einsum("wii->iw", judged.S)[:, within]
-    rows = np.vstack([judged.largest[within][None], np.abs(S)])
-    radii = np.vstack([judged.largest_radius[within][None], judged.radius[within].T])
     other = model.sensitivity(omega)
-    others = np.vstack([largest_gain(other)[None], np.abs(np.einsum("wii->iw", other))])
+    rows, radii = np.abs(S), judged.radius[within].T
+    others = np.abs(np.einsum("wii->iw", other))[list(told)]
+    named = list(axes)
+    if whole:
+        rows = np.vstack([judged.largest[within][None], rows])
+        radii = np.vstack([judged.largest_radius[within][None], radii])
+        others = np.vstack([largest_gain(other)[None], others])
+        named.insert(0, "max")
     checks, curves = [stability], []
+    if not whole:
+        missing = [axis for axis in plant.axes if axis not in axes]
+        reason = (
+            "each by itself, the largest singular value is not told; sweep every axis while all "
+            "displacements are recorded"
+        )
+        if missing:
+            reason = (
+                f"not told: {', '.join(missing)}, which the changed axis couples with; {reason}"
+            )
+        wanted = Demand(float(len(plant.axes)), ">=", "")
+        title = "Axes whose sensitivity the responses tell"
+        checks.append(judge("sensitivity.told", title, float(len(axes)), "-", wanted, reason))
     limit = demand("maximum singular value of a sensitivity", requirements).limit
-    for name, row, radius, expected in zip(("max", *axes), rows, radii, others, strict=True):
+    for name, row, radius, expected in zip(named, rows, radii, others, strict=True):
         rule = (
             "maximum singular value of a sensitivity"
             if name == "max"
@@ -700,7 +866,7 @@ def _checks(
                 "frequency",
                 omega,
                 values,
-                (ALL_AXES, *axes),
+                tuple(ALL_AXES if name == "max" else name for name in named),
                 "rad/s",
                 "-",
                 zone_lines(SENSITIVITY, limit, "an axis"),

@@ -388,13 +388,14 @@ def agreement(items: Sequence[tuple[np.ndarray, Path, np.ndarray]]) -> Agreement
     ]
     first = min(differs, key=lambda item: item[0], default=None)
     below = np.inf if first is None else first[0]
-    lasts = [omega[good & (omega < below)].max(initial=0.0) for omega, _, _, good, _ in found]
-    reach = float(min(lasts))
+    reach = min(
+        float(omega[good & (omega < below)].max(initial=0.0)) for omega, _, _, good, _ in found
+    )
     inside = np.concatenate([good[omega <= reach] for omega, _, _, good, _ in found])
-    told = float(inside.mean()) if inside.size else 0.0
-    whole = reach == max(omega[-1] for omega, *_ in found)
+    share = float(inside.mean()) if inside.size else 0.0
+    whole = reach == max(float(omega[-1]) for omega, *_ in found)
     where = None if first is None else (first[1], first[0], first[2])
-    return Agreement(reach, told, where, bool(whole))
+    return Agreement(reach, share, where, whole)
 
 
 def _outside(quotient: np.ndarray, radius: np.ndarray) -> np.ndarray:
