@@ -62,6 +62,7 @@ from ambrose.record.response import (
 )
 from ambrose.record.response_files import read_response
 
+MEASURED = ", measured"  # after the label of an operating point
 _FEW = 12  # lines at least
 _SEEN = 0.35  # half-widths per spacing from which a resonance is bounded by its neighbours
 _LEAST = 0.002  # damping that is assumed of a resonance that a line shows and no other resolves
@@ -682,10 +683,14 @@ class _Model:
         return float(gain.max()), float(omega[high[-1]] if high.size else last)
 
 
-def _refuse_scales(
-    response: Response, axes: Sequence[str], few: np.ndarray, Y: np.ndarray, K_run: np.ndarray
-) -> None:
-    """Raises InvalidInput where a path is several times what the model's Y (w, a, a) makes."""
+def refuse_scales(
+    response: Response, axes: Sequence[str], G: np.ndarray, K_run: np.ndarray
+) -> np.ndarray:
+    """Y (w, a, a) that the model's G and K_run (w, a, a) make. Raises InvalidInput where a path is
+    several times what they make.
+    """
+    few = evenly(response.omega)
+    Y = np.linalg.inv(np.eye(len(axes)) + G @ K_run) @ G
     for path in response.paths:
         if path.read == path.injected:
             none = np.zeros((0, *Y.shape))
@@ -696,6 +701,13 @@ def _refuse_scales(
                     f"{path.name} is about {factor:.2g} times what the machine file and the "
                     "running controller make; correct its scale, or give the controller that ran"
                 )
+    return np.asarray(Y)
+
+
+def evenly(omega: np.ndarray) -> np.ndarray:
+    """Numbers of lines that are as dense everywhere as at their widest."""
+    even = np.geomspace(omega[0], omega[-1], 60)
+    return np.unique(np.searchsorted(omega, even * (1 - 1e-9)))
 
 
 def _refuse_others(
@@ -711,13 +723,9 @@ def _refuse_others(
     InvalidInput where a scale is wrong, the controller is not the one that ran, or the plant none
     of this machine.
     """
-    # lines as dense everywhere as at their widest, for some are packed about a mode
-    omega = response.omega
-    even = np.geomspace(omega[0], omega[-1], 60)
-    few = np.unique(np.searchsorted(omega, even * (1 - 1e-9)))
-    modelled = model.plant(omega)
-    closed = np.linalg.inv(np.eye(len(axes)) + modelled @ K_run) @ modelled
-    _refuse_scales(response, axes, few, closed, K_run)
+    omega, modelled = response.omega, model.plant(response.omega)
+    few = evenly(omega)
+    closed = refuse_scales(response, axes, modelled, K_run)
     lines = next(iter(parts.values()))
     if lines.X.shape[1] < len(axes):
         # G_a = (1/Y_aa - k_a)^-1, the other loops closed
@@ -801,7 +809,7 @@ def _checks(
         Demand(0.0, "<=", "stability"),
         f"{by}; model: {said}, {model.stability.abscissa:+.4g} 1/s",
     )
-    label = f"{label}, measured"
+    label += MEASURED
     if lost:
         return Checks(label, False, (stability,))
     speed = max(top_speed(plant.machine), plant.point.speed)

@@ -7,9 +7,11 @@ axis, the other loops closed.
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path as File
 from typing import Any
 
 import numpy as np
@@ -18,7 +20,7 @@ from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.presentation import Presented
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.units import DIMENSIONS, in_si
-from ambrose.record.record import POINT_KEYS
+from ambrose.record.record import POINT_KEYS, Record
 
 # quantity -> in words, and its SI unit over and under the line
 QUANTITIES: Mapping[str, tuple[str, str, str]] = {
@@ -158,6 +160,17 @@ def _check(path: Path, lines: int, omega: np.ndarray) -> None:
         raise InvalidInput(f"a variance of {path.name} is not positive; leave the column out")
     if not path.values.all() or np.ptp(np.abs(path.values)) == np.ptp(np.angle(path.values)) == 0:
         raise InvalidInput(f"{path.name} is zero or never changes: a dead channel; leave it out")
+
+
+Measured = Record | Response | str | File  # what was measured, or its file
+
+
+def digest_of(response: Response, number: int) -> tuple[str, str]:
+    """A name of responses that are of no file, and the SHA-256 of what was measured."""
+    digest = hashlib.sha256(repr(response.attributes).encode())
+    for path in response.paths:
+        digest.update(path.name.encode() + np.ascontiguousarray(path.values).tobytes())
+    return f"responses {number}", digest.hexdigest()
 
 
 def unit_factor(quantity: str, unit: str) -> float:
