@@ -3,6 +3,7 @@ are not those of the machine file.
 """
 
 import json
+import re
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path as FilePath
@@ -90,7 +91,7 @@ class Truth:
     def plant(self, key):
         return response(self.held, FINE if key == "fine" else HERTZ)
 
-    def stable(self, law):
+    def stable(self, law, edge=0.0):
         """Of the loop with its delay of one sample: states of plant, law and held current."""
         Ad, Bd, Cy, zero = self.held
         A, B, C, D = law
@@ -101,7 +102,7 @@ class Truth:
                 [-D @ Cy, C, zero],
             ]
         )
-        return np.abs(np.linalg.eigvals(loop)).max() < 1
+        return np.abs(np.linalg.eigvals(loop)).max() < 1 + edge
 
     def largest(self, law):
         """The largest sensitivity of every axis within the sweep."""
@@ -319,6 +320,65 @@ def test_a_gap_that_hides_a_mode_is_never_green():
             judged(without(sweep(truth, running()[1], seed=k), 520, 580), law)
 
 
+def diagonal(response):
+    return replace(response, paths=tuple(p for p in response.paths if p.read == p.injected))
+
+
+def with_axis(law, other, axis):
+    """A law with one axis of another one; both are diagonal."""
+    (A, B, C, D), (A2, B2, C2, D2) = law, other
+    keep = np.arange(4) != axis
+    matrices = (
+        block_diag(A, A2),
+        np.vstack([B * keep, B2 * ~keep]),
+        np.hstack([C * keep[:, None], C2 * ~keep[:, None]]),
+        D * np.outer(keep, keep) + D2 * np.outer(~keep, ~keep),
+    )
+    names = [f"{side}_{name}" for side in ("err", "u") for name in machine().axes]
+    return amb.StateSpace(*matrices, names[:4], names[4:], dt=1 / RATE), matrices
+
+
+def test_the_diagonal_alone_tells_the_loop_that_ran():
+    truth, law = Truth.of((0.1, -0.08), -0.03), running()
+    checks = judged(diagonal(sweep(truth, law[1])), law)
+    S = np.linalg.inv(np.eye(4) + truth.plant("fine") @ late(law[1], FINE))
+    value = np.abs(np.einsum("wii->wi", S)).max(axis=0)
+    low, high = (checks.curve(f"sensitivity.output.{end}").y.max(axis=1)
+                 for end in ("lower end", "upper end"))  # fmt: skip
+    assert ((low <= value) & (value <= high)).all() and checks.stable
+    assert "not told" in checks["sensitivity.told"].detail and checks["sensitivity.told"].passed
+
+
+@pytest.mark.parametrize("kind", ["T", "motion", "I"])
+def test_the_diagonal_alone_tells_one_axis_that_changes(kind):
+    """Stability and the axis's own sensitivity against the whole loop's; the others are not told,
+    which is no pass.
+    """
+    truth, base = Truth.of((0.1, -0.08), -0.03), running()
+    rng, found = np.random.default_rng(1), []
+    for k in range(6):
+        law, matrices = with_axis(base[1], random_law(rng)[1], k % 4)
+        checks = judged(diagonal(sweep(truth, base[1], kind, seed=k)), law)
+        # the integrator of the axis that was taken out stays, at 1, and acts on nothing
+        assert checks.stable == truth.stable(matrices, edge=1e-9)
+        assert not checks.passed
+        if checks.stable:
+            told = checks["sensitivity.told"]
+            assert told.value == 1 and not told.passed and "not told" in told.detail
+            low, high = (checks.curve(f"sensitivity.output.{end}").y[0].max()
+                         for end in ("lower end", "upper end"))  # fmt: skip
+            found.append(low <= truth.largest(matrices)[k % 4] <= high)
+    assert all(found) and len(found) > 2
+
+
+def test_the_diagonal_alone_does_not_tell_two_axes_that_change():
+    truth, base = Truth.of((0.1, -0.08), -0.03), running()
+    law = with_axis(base[1], random_law(np.random.default_rng(1))[1], 0)
+    two = with_axis(law[1], random_law(np.random.default_rng(2))[1], 1)
+    with pytest.raises(InvalidInput, match=r"12 of 16 .* one axis at a time"):
+        judged(diagonal(sweep(truth, base[1])), two)
+
+
 def test_what_does_not_tell_is_refused_in_one_sentence():
     truth = Truth.of((0.1, -0.08), -0.03)
     law = random_law(np.random.default_rng(0))[0]
@@ -339,6 +399,35 @@ def test_what_does_not_tell_is_refused_in_one_sentence():
         with pytest.raises(InvalidInput, match=words) as error:
             judged(response, law, ran)
         assert "\n" not in str(error.value) and "; " in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "factor"),
+    [("T", 1.3), ("T", 2.0), ("T", 0.7), ("motion", 2.0), ("G", 2.0), ("S", 1.4)],
+)
+def test_a_scale_that_is_wrong_is_named(kind, factor):
+    """On a plant whose magnets are 20 % off, which no scale is."""
+    law = running()
+    whole = sweep(Truth.of((0.2, -0.2), -0.1), law[1], kind)
+    wrong = [replace(p, values=factor * p.values) for p in whole.paths]
+    with pytest.raises(InvalidInput, match=r"A_zeta is about [\d.]+ times what .* its scale"):
+        judged(replace(whole, paths=tuple(wrong)), law, ran=kind != "G")
+
+
+def test_lines_out_of_phase_are_never_said_to_agree():
+    """One line in nine turned over, of which never two lie side by side."""
+
+    def top(response):
+        said = judged(response, law).notes[0]
+        found = re.search(r"agree within 10 % and 10 degrees up to ([\d.]+)", said)
+        return None if found is None else float(found[1])
+
+    law = running()
+    whole = sweep(Truth.of((0.02, -0.02)), law[1])
+    assert top(whole) > 1000
+    turn = np.where(np.arange(len(HERTZ)) % 9 == 1, -1.0, 1.0)
+    turned = tuple(replace(p, values=turn * p.values) for p in whole.paths)
+    assert top(replace(whole, paths=turned)) is None
 
 
 def test_from_the_command_line(tmp_path):

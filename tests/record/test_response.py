@@ -178,9 +178,41 @@ GOOD = ("frequency [Hz]", "S A_zeta gain [dB]", "S A_zeta phase [deg]")
         (("frequency [Hz]", "G A_zeta gain [um/V]", "G A_zeta phase [deg]"),
          (HERTZ, abs(S), deg(S)), HEAD, "G .* is \"V\""),
         (GOOD[:2], (HERTZ, dB(S)), HEAD, "exactly one of the three"),
+        (("frequency [Hz]", "G A_zeta real [um/A]", "G A_zeta imag [m/A]"),
+         (HERTZ, S.real, S.imag), HEAD, "two units, um/A and m/A"),
+        (("frequency [Hz]", "G A_zeta gain [um/A]", "G A_zeta phase [deg]",
+          "G A_zeta deviation [m/A]"), (HERTZ, abs(S), deg(S), abs(S)), HEAD, "two units"),
+        ((*GOOD, GOOD[1]), (HERTZ, dB(S), deg(S), dB(T)), HEAD, "S A_zeta gain' is there twice"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_meant_is_refused_in_one_sentence(tmp_path, names, columns, head, words):
     with pytest.raises(InvalidInput, match=words) as error:
         read_response(written(tmp_path, table(names, *columns, head=head)))
     assert "\n" not in str(error.value) and "; " in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("headings", "keys", "words"),
+    [
+        (("Re [um/A]", "Im [mm/A]"), {"real": "Re", "imag": "Im"}, "um/A and mm/A"),
+        (("Mag [dB]", "Ph [deg]"), {"gain": "Mag", "phase": "Ph", "unit": "um/A"}, "dB and abs"),
+        (("Mag [um/A]", "Ph [rad]"), {"gain": "Mag", "phase": "Ph"}, "rad and deg"),
+    ],
+)
+def test_units_that_a_file_and_its_map_state_differently_are_refused(
+    tmp_path, headings, keys, words
+):
+    text = table(["Freq", *headings], HERTZ, abs(S), S.imag, separator=";")
+    paths = [{"quantity": "G", "read": "A_zeta", **keys}]
+    columns = {"machine": "toy", "point": POINT, "path": paths,
+               "frequency": {"source": "Freq", "unit": "Hz"}}  # fmt: skip
+    with pytest.raises(InvalidInput, match=f"two units, {words}"):
+        read_response(written(tmp_path, text), columns)
+
+
+def test_the_unit_in_a_heading_counts(tmp_path):
+    text = table(["Freq [Hz]", "Re [um/A]", "Im [um/A]"], HERTZ, S.real, S.imag, separator=";")
+    paths = [{"quantity": "G", "read": "A_zeta", "real": "Re", "imag": "Im"}]
+    columns = {"machine": "toy", "point": POINT, "path": paths, "frequency": {"source": "Freq"}}
+    found = read_response(written(tmp_path, text), columns).paths[0]
+    np.testing.assert_allclose(found.values, 1e-6 * S)

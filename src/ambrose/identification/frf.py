@@ -621,9 +621,10 @@ def compare(
         )
     ratio, margin = expected / measured.values, measured.radius(confidence) / size
 
-    # a circle of relative radius r about 1 reaches 1 + r and the angle arcsin r
+    # a circle of relative radius r about 1 reaches 1 + r and the angle arcsin r, any beyond r = 1
+    turn = np.where(margin < 1, np.arcsin(np.minimum(margin, 1.0)), np.pi)
     wide = (np.abs(np.abs(ratio) - 1) <= magnitude_tolerance + margin) & (
-        np.abs(np.angle(ratio)) <= phase_tolerance + np.arcsin(np.minimum(margin, 1.0))
+        np.abs(np.angle(ratio)) <= phase_tolerance + turn
     )
     told = margin <= min(magnitude_tolerance, phase_tolerance)
     verdict = np.where(~wide, DISAGREES, np.where(told, AGREES, UNDECIDED))

@@ -44,7 +44,7 @@ from ambrose.machine.parameters import TIMING
 from ambrose.options import choose, either
 from ambrose.record.files import read_record
 from ambrose.record.record import Record
-from ambrose.record.response import Response
+from ambrose.record.response import Measured, Response
 
 __all__ = [
     "Identification",
@@ -59,7 +59,7 @@ __all__ = [
 @names_wrong_types
 def identify(
     machine: Machine,
-    records: Record | str | Path | Sequence[Record | str | Path],
+    records: Measured | Sequence[Measured],
     controller: LawLike | None = None,
     *,
     method: Identifying | str = "closed-loop",
@@ -243,10 +243,10 @@ def check_controller(method: Identifying, given: bool, repeats: bool, option: st
 
 
 def _read(
-    records: Record | str | Path | Sequence[Record | str | Path], progress: Progress
+    records: Measured | Sequence[Measured], progress: Progress
 ) -> tuple[tuple[Record, ...], tuple[str, ...]]:
     """The records, and the names of those that are files (none where some are not)."""
-    if isinstance(records, Record | str | Path):
+    if isinstance(records, Measured):
         records = (records,)
     if not isinstance(records, Sequence) or not records:
         raise invalid(
@@ -263,11 +263,12 @@ def _read(
                 "a Record or the path of one",
                 "read it with read_record",
             )
-    files = [Path(item) for item in records if not isinstance(item, Record)]
+    files = [Path(item) for item in records if isinstance(item, str | Path)]
     if files:
         progress(f"reading {len(files)} record{'s' if len(files) > 1 else ''}")
     names = tuple(path.name for path in files) if len(files) == len(records) else ()
-    return tuple(item if isinstance(item, Record) else read_record(item) for item in records), names
+    read = [item for item in records if not isinstance(item, Response)]  # as every one is
+    return tuple(item if isinstance(item, Record) else read_record(item) for item in read), names
 
 
 def _paths(unknown: object) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from itertools import combinations
 from pathlib import Path as File
 from typing import Any
 
@@ -34,13 +34,25 @@ from ambrose.identification.validation.plausibility import diagnose_values
 from ambrose.law.law import LawLike
 from ambrose.law.loop import timing_of
 from ambrose.machine.machine import Machine
-from ambrose.record.response import QUANTITIES, Path, Response, distance, predicted, usable, whole
+from ambrose.record.response import (
+    QUANTITIES,
+    Path,
+    Response,
+    agreement,
+    distance,
+    noise_beside,
+    predicted,
+    scale_error,
+    usable,
+    whole,
+)
 from ambrose.record.response_files import holds_responses, read_response
 
 _CYCLE = 2 * np.pi
 _RELATIVE, _FLOOR = 0.01, 0.05  # noise where none is stated: of the value, and of its median
 # a mistake is named where the model is this far, and a correction brings it so much nearer
 _FAR, _NEARER = 0.05, 3.0
+_SAME_SCALE = 0.2  # of the logarithm of factors that are the same
 _LOST = 0.6  # and this far without one, it is none of it
 _OTHER_LAW = 0.1  # of the controller, which is known: then it is another one
 _WRONG_SIZE = 0.3  # relative: residuals with which no number can be trusted
@@ -48,9 +60,13 @@ _LOUD, _ALIKE = (
     1.5,
     0.3,
 )  # residual over noise, correlation of neighbours: the model lacks something
+_FEW = 12  # lines from which their scatter tells their noise
 _SMALL = 0.1  # of the largest path: what is smaller may be nothing but noise
-_VALID = 0.1, np.radians(10.0)
-_RADIUS = 1.73  # of a complex value's deviation: sqrt(-ln 0.05), the circle that holds 95 %
+_TOLD = 20.0  # of twice the log likelihood, by which one reading is better than another
+_REFITS = 10  # iterations of the fit with exchanged axes
+_AWAY = 5.0  # of their size, by which the values may go from the start in it
+_HOPELESS = 20.0  # times the sum of squares, at the start, from which a reading is not fitted
+_MAGNET = 0.2, 5.0  # factors of L and G that a K_i of another size might make
 
 
 def as_responses(records: Any) -> tuple[Response, ...]:
@@ -172,7 +188,8 @@ def identify_responses(
             "controller's file, its rate and its delay"
         )
     result = _estimate(machine, problem, paths, begin, minimum)
-    checks = diagnose_values(machine, result, ())
+    untold, exchange = problem.exchanged(minimum, begin, scale)
+    checks = (*exchange, *diagnose_values(machine, result, ()))
     refuse(checks)
     return LoopIdentification(
         given=machine,
@@ -183,7 +200,7 @@ def identify_responses(
         controller=controller,
         computing_delay=delay,
         bending_modes=modes,
-        notes=problem.notes(minimum.x),
+        notes=problem.notes(minimum.x, untold),
     )
 
 
@@ -231,6 +248,10 @@ class Problem:
         alike = [p for _, p in self.items if (p.quantity, p.at) == (path.quantity, path.at)]
         return max(float(np.median(np.abs(p.values))) for p in alike)
 
+    def small(self, path: Path) -> float:
+        """What is smaller may be nothing but noise."""
+        return _SMALL * self.largest(path)
+
     def noise(self, path: Path, number: int) -> np.ndarray:
         """Deviation (w,) of a path's values."""
         if path.variance is not None:
@@ -271,41 +292,75 @@ class Problem:
 
     def mistakes(self, theta: np.ndarray) -> Iterator[Finding]:
         """What the file says wrongly, told by the model at theta and by the controller: the one
-        correction that brings a quantity much nearer; and what nothing brings near.
+        correction that brings a quantity, or a path of it, much nearer; and what nothing brings
+        near.
         """
         known = list(self.models(theta))
         others = [(words, list(self.models(theta, *how))) for words, how in self._readings()]
         groups: dict[tuple[int, str, str], list[int]] = {}
         for k, (omega, path) in enumerate(self.items):
             groups.setdefault((id(omega), path.quantity, path.at), []).append(k)
-        for (_, quantity, _), places in groups.items():
-            items = [known[k][:2] for k in places]
-            far = distance([(path.values, values) for path, values in items])
-            if far < _FAR:
-                continue
-            tries = [
-                (distance([(change(path), values) for path, values in items]), words)
-                for words, change in _CORRECTIONS.items()
-                if quantity in "ST" or words != _OTHER
+        alone = {quantity for _, quantity, _ in groups} <= set("LGK")
+        for places in groups.values():
+            named = self._mistake(places, known, others, alone)
+            loud = [
+                k
+                for k in places
+                if np.median(np.abs(known[k][0].values)) >= self.small(known[k][0])
             ]
-            for words, other in others:
-                pairs = [(other[k][0].values, other[k][1]) for k in places]
-                tries.append((distance(pairs), words))
-            best, words = min(tries)
-            name = f"{quantity} ({QUANTITIES[quantity][0]}) as stated"
-            apart = f"{far:.0%} off what the machine file and the controller make"
-            if best * _NEARER < far:
-                what, remedy = words.split(": ")
-                yield Finding(
-                    Code.MIXED_CHANNELS,
-                    ERROR,
-                    f"{name} is {apart}, and {best:.0%} where {what}",
-                    remedy=remedy,
-                )
-            elif far > (_OTHER_LAW if quantity == "K" else _LOST):
-                code = Code.OTHER_CONTROLLER if quantity == "K" else Code.OTHER_MACHINE
-                remedy = "say what was measured, at which axis, and give the controller that ran"
-                yield Finding(code, ERROR, f"{name} is {apart}", remedy=remedy)
+            for k in loud if named is None or named.code != Code.MIXED_CHANNELS else ():
+                one = self._mistake([k], known, (), alone)
+                named = one if one is not None and one.code == Code.MIXED_CHANNELS else named
+            if named is not None:
+                yield named
+
+    def _mistake(
+        self,
+        places: Sequence[int],
+        known: Sequence[tuple[Path, np.ndarray, np.ndarray]],
+        others: Sequence[tuple[str, Sequence[tuple[Path, np.ndarray, np.ndarray]]]],
+        alone: bool,
+    ) -> Finding | None:
+        """Of the paths at those places. alone: nothing tells a scale from K_i."""
+        items = [known[k][:2] for k in places]
+        quantity = items[0][0].quantity
+        far = distance([(path.values, values) for path, values in items])
+        factors = [scale_error(*item) for item in items if item[0].read == item[0].injected]
+        known_factors = [factor for factor in factors if factor is not None]
+        factor = float(np.median(known_factors)) if known_factors else 0.0
+        alike = len(known_factors) == len(factors) and all(
+            abs(np.log(one / factor)) < _SAME_SCALE for one in known_factors
+        )
+        if far < _FAR and not (factor and alike):
+            return None
+        tries = [
+            (distance([(change(path), values) for path, values in items]), words)
+            for words, change in _CORRECTIONS.items()
+            if quantity in "ST" or words != _OTHER
+        ]
+        for words, other in others:
+            pairs = [(other[k][0].values, other[k][1]) for k in places]
+            tries.append((distance(pairs), words))
+        best, words = min(tries)
+        name = f"{quantity} ({QUANTITIES[quantity][0]})" if len(places) > 1 else items[0][0].name
+        name, apart = f"{name} as stated", f"{far:.0%} off what the machine file and the controller"
+        scaled = distance([(path.values / (factor or 1.0), values) for path, values in items])
+        if factor and alike and (scaled < best or best * _NEARER >= far):
+            remedy = "correct its unit or scale"
+            if alone and quantity != "K" and _MAGNET[0] < factor < _MAGNET[1]:
+                remedy += "; if K_i is so far off the machine file's, begin there (--start)"
+            size = f"{factor:.2g} times larger" if factor > 1 else f"{1 / factor:.2g} times smaller"
+            text = f"{name} is {apart} make: it is about {size}"
+            return Finding(Code.MIXED_CHANNELS, ERROR, text, remedy=remedy)
+        if best * _NEARER < far:
+            what, remedy = words.split(": ")
+            text = f"{name} is {apart} make, and {best:.0%} where {what}"
+            return Finding(Code.MIXED_CHANNELS, ERROR, text, remedy=remedy)
+        if far > (_OTHER_LAW if quantity == "K" else _LOST):
+            code = Code.OTHER_CONTROLLER if quantity == "K" else Code.OTHER_MACHINE
+            remedy = "say what was measured, at which axis, and give the controller that ran"
+            return Finding(code, ERROR, f"{name} is {apart} make", remedy=remedy)
+        return None
 
     def _readings(self) -> Iterator[tuple[str, tuple[float, Mapping[str, str]]]]:
         """Other frequencies and other axes that the file may have meant."""
@@ -314,44 +369,102 @@ class Problem:
         yield "frequencies are in rad/s, not Hz: state their unit rad/s", (1 / _CYCLE, {})
         if top * _CYCLE < half:
             yield "frequencies are in Hz, not rad/s: state their unit Hz", (_CYCLE, {})
-        axes = self.loop.axes
-        for i, one in enumerate(axes):
-            for other in axes[:i]:
-                text = f"{other} and {one} are exchanged: exchange them in the file's names"
-                yield text, (1.0, {one: other, other: one})
+        for words, named in self._exchanges():
+            yield f"{words} are exchanged: exchange them in the file's names", (1.0, named)
 
-    def notes(self, theta: np.ndarray) -> tuple[str, ...]:
-        """What was fitted and how far the model holds, in words."""
-        reach = []
-        for number, ((omega, path), (_, values, _)) in enumerate(
-            zip(self.items, self.models(theta), strict=True)
-        ):
-            ratio = values / path.values
-            if np.median(np.abs(path.values)) < _SMALL * self.largest(path):
-                continue
-            margin = _RADIUS * self.noise(path, number) / np.abs(path.values)
-            off = (np.abs(np.abs(ratio) - 1) > _VALID[0] + margin) | (
-                np.abs(np.angle(ratio)) > _VALID[1] + np.arcsin(np.minimum(margin, 1.0))
+    def _exchanges(self) -> Iterator[tuple[str, Mapping[str, str]]]:
+        """Two axes, two bearings, or two directions of all, where a path has a name of them."""
+        parts = {axis: axis.rpartition("_")[::2] for axis in self.loop.axes}
+        read = {name for _, path in self.items for name in (path.read, path.injected)}
+        kinds = [
+            list(self.loop.axes),
+            *(list(dict.fromkeys(pair)) for pair in zip(*parts.values(), strict=True)),
+        ]
+        seen: list[Mapping[str, str]] = []
+        for kind, names in enumerate(kinds):
+            for one, other in combinations(names, 2):
+                swap = {one: other, other: one}
+                named = {}
+                for axis, pair in parts.items():
+                    new = axis if kind else swap.get(axis, axis)
+                    if kind:
+                        new = "_".join(
+                            swap.get(x, x) if k == kind - 1 else x for k, x in enumerate(pair)
+                        )
+                    if new != axis and new in parts:
+                        named[axis] = new
+                if named and named not in seen and read & set(named):
+                    seen.append(named)
+                    yield f"{one} and {other}", named
+
+    def exchanged(
+        self, minimum: Minimum, begin: np.ndarray, scale: np.ndarray
+    ) -> tuple[list[str], tuple[Finding, ...]]:
+        """Which axes could be exchanged in the file with no worse a fit, and which with a better
+        one: twice the log likelihood of the best fit with exchanged names from the values at begin,
+        beside that as named.
+        """
+        count = 2 * sum(len(path.values) for _, path in self.items)
+        size = max(minimum.cost / count, 1.0)  # what the model lacks counts as noise
+        untold: list[str] = []
+        better: list[tuple[float, str]] = []
+        for words, named in self._exchanges():
+            responses = tuple(
+                replace(
+                    one,
+                    paths=tuple(
+                        replace(
+                            path,
+                            read=named.get(path.read, path.read),
+                            injected=named.get(path.injected, path.injected),
+                        )
+                        for path in one.paths
+                    ),
+                )
+                for one in self.responses
             )
-            off &= margin <= _VALID[0]  # others are too noisy to tell
-            reach.append(float(omega[max(int(np.argmax(off)) - 1, 0) if off.any() else -1]))
+            other = replace(self, responses=responses)
+            if other.linearise(begin).cost > _HOPELESS * self.linearise(begin).cost:
+                continue
+
+            def near(theta: np.ndarray) -> bool:
+                return bool((np.abs(theta - begin) <= _AWAY * scale).all())
+
+            cost = minimise(other.linearise, begin, scale, near, _REFITS).cost
+            if cost < minimum.cost - _TOLD * size:
+                better.append((cost, words))
+            elif cost < minimum.cost + _TOLD * size:
+                untold.append(words)
+        if not better:
+            return untold, ()
+        text = f"the responses fit {min(better)[1]} exchanged better than as the file names them"
+        remedy = "exchange them in the file's names"
+        return untold, (Finding(Code.MIXED_CHANNELS, ERROR, text, remedy=remedy),)
+
+    def notes(self, theta: np.ndarray, untold: Sequence[str] = ()) -> tuple[str, ...]:
+        """What was fitted and how far the model holds, in words."""
+        items = [
+            (omega, path, values)
+            for (omega, path), (_, values, _) in zip(self.items, self.models(theta), strict=True)
+        ]
+        large = [item for item in items if np.median(np.abs(item[1].values)) >= self.small(item[1])]
+        left = len(items) - len(large)
         lines = sum(len(one.omega) for one in self.responses)
         return (
-            f"fitted to {self.count} frequency responses at {lines} frequencies; model and "
-            f"measurement agree within 10 % and 10 degrees up to {min(reach) / _CYCLE:.4g} Hz",
-            *(("no noise is stated: the residuals' size stands for it",) if self.unstated else ()),
-            # exchanged names give exchanged values, and as good a fit
-            *((_NAMES,) if all(path.read == path.injected for _, path in self.items) else ()),
+            f"fitted to {self.count} frequency responses at {lines} frequencies; "
+            f"{agreement(large)}"
+            + (f"; {left} paths below 10 % of the largest are left out of this" if left else ""),
+            *((_UNSTATED,) if self.unstated else ()),
+            *((_NAMES.format(", or ".join(untold[:3])),) if untold else ()),
         )
 
 
-def _times(factor: float, path: Path) -> np.ndarray:
-    return factor * path.values
-
-
 _NAMES = (
-    "no response is between two axes, so that nothing tells whether the file has exchanged axes: "
+    "nothing tells whether the file has exchanged axes: {} exchanged fit as well; "
     "each axis has its values by its name in the file"
+)
+_UNSTATED = (
+    "no noise is stated: the residuals' size weighs every path, the lines' own scatter is its noise"
 )
 _OTHER = "it is the other of S and T: exchange S and T"
 _CORRECTIONS: Mapping[str, Callable[[Path], np.ndarray]] = {
@@ -372,10 +485,6 @@ _CORRECTIONS: Mapping[str, Callable[[Path], np.ndarray]] = {
     "the phase is in radians, not degrees: state phase in rad": lambda p: (
         np.abs(p.values) * np.exp(1j * np.degrees(np.angle(p.values)))
     ),
-    **{
-        f"it is {1 / factor:g} times larger: correct its unit": partial(_times, factor)
-        for factor in (1e-6, 1e-3, 1e3, 1e6)
-    },
 }
 
 
@@ -390,12 +499,17 @@ def _estimate(
     findings: list[Finding] = []
     fits: list[tuple[int, str, float]] = []
     excess = 1.0
+    models = [values for _, values, _ in problem.models(minimum.x)]
     for number, ((omega, path), (_, r, _)) in enumerate(
         zip(problem.items, problem.residuals(minimum.x), strict=True)
     ):
         if path.quantity == "K":
             continue
         mean = float(np.mean(np.abs(r) ** 2)) / 2  # 1 where nothing but noise is left
+        beside = mean
+        if path.variance is None and len(omega) >= _FEW:
+            alone = noise_beside(omega, path, models[number])
+            beside = float(np.mean(np.abs(path.values - models[number]) ** 2 / alone))
         alike = max(float(np.vdot(r[:-1], r[1:]).real / max(np.vdot(r, r).real, 1e-300)), 0.0)
         left = np.abs(r) * problem.noise(path, number) / np.sqrt(2)
         spread = float(np.linalg.norm(path.values - path.values.mean()))
@@ -404,7 +518,7 @@ def _estimate(
         relative = float(np.median(left / size))
         worst = f"most at {omega[int(np.argmax(np.abs(r)))] / _CYCLE:.4g} Hz"
         remedy = "model what is missing there (--bending-modes, a casing mode), or leave lines out"
-        loud = mean > _LOUD + 5 / np.sqrt(len(r))
+        loud = beside > _LOUD + 5 / np.sqrt(len(r))
         follows = alike > max(_ALIKE, 4 / np.sqrt(2 * len(r)))
         if relative > _WRONG_SIZE:
             text = f"the model is {relative:.0%} off {path.name} at any parameter values, {worst}"
@@ -413,7 +527,7 @@ def _estimate(
             # errors alike at neighbours count as fewer lines
             excess = max(excess, mean * (1 + alike) / (1 - min(alike, 0.9)))
             why = (
-                f"{np.sqrt(mean):.2g} times the noise"
+                f"{np.sqrt(beside):.2g} times the noise"
                 if loud
                 else f"{relative:.2g} of it, alike at neighbouring lines"
             )

@@ -26,7 +26,7 @@ verify_controller(machine, controller, measured=["responses.h5"], running=runnin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path as File
 
@@ -46,31 +46,37 @@ from ambrose.machine.criteria import SENSITIVITY, TWO_PI, Demand, demand
 from ambrose.model.plant import Plant, top_speed
 from ambrose.record.response import (
     CURRENT,
+    SCATTER_DOF,
     SENSOR,
+    Agreement,
     Path,
     Response,
+    agreement,
+    cubic,
     distance,
     predicted,
+    scale_error,
+    scatter,
     usable,
     whole,
 )
 from ambrose.record.response_files import read_response
 
+MEASURED = ", measured"  # after the label of an operating point
 _FEW = 12  # lines at least
 _SEEN = 0.35  # half-widths per spacing from which a resonance is bounded by its neighbours
 _LEAST = 0.002  # damping that is assumed of a resonance that a line shows and no other resolves
 _NEAR = 0.2  # relative, about a mode of the machine file in which its damping is assumed
 _BETWEEN = 6  # steps between two lines
 _COVERAGE = 0.05  # what all lines together may miss by chance
-_SCATTER_DOF = 20  # of a variance that the lines' own scatter tells
 _LOUD = 2.0  # scatter over the stated variance from which the scatter counts
 _LIGHT = 0.3  # damping ratio of a mode that may hide between lines
 _OUTSIDE = 1e-7  # of the circle outside the unit circle: an integrator counts as stable
 _ALIKE = 0.8  # of the largest singular value, from which others move with it
 _RAN = 0.05  # by which a path may be off what the others and the running controller make
+_NOTHING = 1e-9  # of the largest entry of a controller
 _OTHER = 0.3  # by which the plant may be off the machine file's
 _BEYOND = 0.5  # loop gain that the model may have beyond the last line: half of what turns anything
-_VALID = 0.1, np.radians(10.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,15 +100,18 @@ class Lines:
         return float(np.sqrt(self.dof / 2 * (share ** (2 / self.dof) - 1)))
 
 
+_KINDS = (
+    ("motion", ("motion",), None),
+    ("T", ("T", "S", "L"), SENSOR),
+    ("K Y", ("T", "S", "L"), CURRENT),
+    ("G", ("G",), None),
+)
+
+
 def lines_of(response: Response, axes: Sequence[str]) -> Lines:
     """The first kind of response that is there between all axes. Raises InvalidInput."""
     found = {}
-    for kind, quantities, at in (
-        ("motion", ("motion",), None),
-        ("T", ("T", "S", "L"), SENSOR),
-        ("K Y", ("T", "S", "L"), CURRENT),
-        ("G", ("G",), None),
-    ):
+    for kind, quantities, at in _KINDS:
         cells: dict[tuple[int, int], list[Path]] = {}
         for path in response.paths:
             if path.quantity in quantities and at in {None, path.at}:
@@ -121,8 +130,68 @@ def lines_of(response: Response, axes: Sequence[str]) -> Lines:
     raise InvalidInput(
         f"{len(missing)} of {len(axes) ** 2} responses between the axes are missing, the first of "
         f"{missing[0]}: another controller couples all axes; sweep every axis while all "
-        "displacements are recorded, or identify the machine from what is there"
+        "displacements are recorded, change one axis at a time, or identify the machine from what "
+        "is there"
     )
+
+
+def own_lines(response: Response, axes: Sequence[str], K: np.ndarray) -> dict[int, Lines]:
+    """By axis what was measured of it alone, the other loops closed; K (w, a, a): that ran. All but
+    T at the sensor tells an axis only where its controller has nothing to do with the others.
+    """
+    found = {}
+    for i, axis in enumerate(axes):
+        for kind, quantities, at in (_KINDS[1], *(_KINDS if apart(K, i) else ())):
+            same = [
+                _as_closed(path)
+                for path in response.paths
+                if path.quantity in quantities
+                and at in {None, path.at}
+                and path.read == path.injected == axis
+            ]
+            if same:
+                found[i] = _filled(kind, response.omega, {(0, 0): same}, 1)
+                break
+    return found
+
+
+def apart(K: np.ndarray, axis: int) -> bool:
+    """Whether an axis of K (w, a, a) has nothing to do with the others."""
+    size = np.abs(K).max(axis=0)
+    beside = (
+        np.delete(size[axis], axis).max(initial=0.0),
+        np.delete(size[:, axis], axis).max(initial=0),
+    )
+    return bool(max(beside) <= _NOTHING * size.max())
+
+
+def sensitivity_of(
+    response: Response, axes: Sequence[str], K: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Output sensitivity S (w, a, a) of the loop with K (w, a, a) that ran, the deviation (w, a) of
+    its diagonal, and that (w,) of its largest singular value; NaN where it was not measured. Raises
+    InvalidInput where an axis was not.
+    """
+    n, a = len(response.omega), len(axes)
+    try:
+        blocks = {tuple(range(a)): lines_of(response, axes)}
+    except InvalidInput:
+        own = own_lines(response, axes, K)
+        if len(own) < a:
+            raise
+        blocks = {(i,): lines for i, lines in own.items()}
+    S, sd = np.full((n, a, a), np.nan, complex), np.full((n, a), np.nan)
+    largest = np.full(n, np.nan)
+    for places, lines in blocks.items():
+        part = np.ix_(range(n), places, places)
+        zero = np.zeros(lines.X.shape)
+        points = Between(lines.omega, lines.X, lines.variance, zero, np.ones(n))
+        judged = judge_lines(points, lines, K[part], K[part])
+        S[part] = judged.S
+        sd[:, places] = judged.radius / lines.reach
+        if len(places) == a:
+            largest = judged.largest_radius / lines.reach
+    return S, sd, largest
 
 
 def _as_closed(path: Path) -> Path:
@@ -148,48 +217,15 @@ def _filled(
     for (i, j), same in cells.items():
         weights = []
         for path in same:
-            scatter = _scatter(omega, path.values)
+            alone = scatter(omega, path.values)
             known = path.variance
-            ratio = np.inf if known is None else float(np.median(scatter / known))
-            dof = _SCATTER_DOF if ratio > _LOUD else dof
-            weights.append(1 / (scatter if known is None else known * max(ratio / _LOUD, 1.0)))
+            ratio = np.inf if known is None else float(np.median(alone / known))
+            dof = SCATTER_DOF if ratio > _LOUD else dof
+            weights.append(1 / (alone if known is None else known * max(ratio / _LOUD, 1.0)))
         total = np.sum(weights, axis=0)
         X[:, i, j] = np.sum([w * p.values for w, p in zip(weights, same, strict=True)], 0) / total
         variance[:, i, j] = 1 / total
     return Lines(kind, omega, X, variance, dof)
-
-
-def _cubic(x: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """Lagrange's weights (w, 4) at x (w,) of nodes (w, 4)."""
-    weights = np.ones(nodes.shape)
-    for i in range(4):
-        for m in range(4):
-            if m != i:
-                weights[:, i] *= (x - nodes[:, m]) / (nodes[:, i] - nodes[:, m])
-    return weights
-
-
-def _left_out(omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The four lines nearest to every one, (w, 4), and their weights in what they tell of it."""
-    x, n = np.log(omega), len(omega)
-    first = np.clip(np.arange(n) - 2, 0, n - 5)
-    window = first[:, None] + np.arange(5)
-    others = window[window != np.arange(n)[:, None]].reshape(n, 4)
-    return others, _cubic(x, x[others])
-
-
-def _scatter(omega: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Variance (w,) of values (w,): the median over twenty lines of what each is off the cubic
-    through its neighbours, which a resonance that few lines show does not move.
-    """
-    others, weights = _left_out(omega)
-    miss = np.abs(values - np.einsum("wk,wk->w", weights, values[others])) ** 2
-    miss /= 1 + (weights**2).sum(axis=1)
-    n, half = len(omega), min(_SCATTER_DOF // 2, len(omega) // 2)
-    middle = np.clip(np.arange(n), half, n - 1 - half)
-    around = middle[:, None] + np.arange(-half, half + 1)
-    floor = (1e-9 * np.abs(values).max()) ** 2
-    return np.asarray(np.median(miss[around], axis=1) / np.log(2) + floor)
 
 
 def _even(omega: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -212,7 +248,7 @@ def _even(omega: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         for row, found in enumerate((before, after)):
             nodes[k, row] = np.sort(list(dict.fromkeys([*found[:4], *spare]))[:4])
     ends = np.stack([np.arange(n - 1), np.arange(1, n)], axis=1)
-    weights = _cubic(x[ends].ravel(), x[nodes].reshape(-1, 4)).reshape(nodes.shape)
+    weights = cubic(x[ends].ravel(), x[nodes].reshape(-1, 4)).reshape(nodes.shape)
     return ends, nodes, weights
 
 
@@ -242,7 +278,7 @@ def between(lines: Lines, extra: np.ndarray, modes: np.ndarray) -> Between:
     at = np.clip(np.searchsorted(omega, dense * (1 + 1e-12), side="right") - 1, 0, n - 2)
     nodes = np.clip(at - 1, 0, n - 4)[:, None] + np.arange(4)
     x = np.log(omega)
-    weights = _cubic(np.log(dense), x[nodes])
+    weights = cubic(np.log(dense), x[nodes])
     X = np.einsum("wk,wkij->wij", weights, lines.X[nodes])
     variance = np.einsum("wk,wkij->wij", weights**2, lines.variance[nodes])
 
@@ -484,40 +520,89 @@ def check_measured(
     response = usable(response, axes, law.dt)
     if len(response.omega) < _FEW:
         raise invalid("the number of lines", len(response.omega), f"at least {_FEW}", "sweep more")
-    lines = lines_of(response, axes)
-    if ran is None and lines.kind != "G":
+    if ran is None and not response.kind("G"):
         raise InvalidInput(
             "the responses are those of a closed loop, which tell the plant only with the "
             "controller that ran; give it (--running)"
         )
     model = _Model(plant, controller, running, timing)
     at, run_at = controller_at(law, len(axes)), controller_at(ran, len(axes))
-    valid = _refuse_others(response, lines, axes, run_at(lines.omega), model, ran is not None)
     packed = np.concatenate([_poles_of(law), _poles_of(ran)])
-    points = between(lines, packed, model.modes)
-    judged = judge_lines(points, lines, at(points.omega), run_at(points.omega))
-    gain, reached = model.beyond(float(lines.omega[-1]))
-    last = float(np.abs(np.linalg.eigvals(judged.M[-1])).max())
-    if max(gain, last / 2) >= _BEYOND:
-        raise InvalidInput(
-            f"the last line, {lines.omega[-1] / TWO_PI:.4g} Hz, is too low: the loop's gain there "
-            f"is {last:.2g}, and beyond it up to {gain:.2g} by the machine file's model; sweep to "
-            f"{reached / TWO_PI:.4g} Hz"
-        )
-    first = lines.omega <= max(3 * lines.omega[0], lines.omega[5])
-    stiffness = _stiffness(lines, run_at(lines.omega))[first]
-    count = turns(judged, lines.omega[first], stiffness, at, run_at)
-    own, before = _unstable(law), 0 if ran is None else _unstable(ran)
-    open_ = model.unstable if ran is None else 0
-    lost = own - before + open_ - count
+    K, K_run = at(response.omega), run_at(response.omega)
+    try:
+        parts = {tuple(range(len(axes))): lines_of(response, axes)}
+    except InvalidInput as missing:
+        parts = _parts(response, axes, K, K_run, missing)
+    valid = _refuse_others(response, parts, axes, K_run, model, ran is not None)
+    told, lost = [], 0
+    for places, lines in parts.items():
+        block = np.ix_(range(len(K)), places, places)
+
+        def of(there: Controller, places: tuple[int, ...] = places) -> Controller:
+            return lambda omega: there(omega)[np.ix_(range(len(omega)), places, places)]
+
+        points = between(lines, packed, model.modes)
+        judged = judge_lines(points, lines, of(at)(points.omega), of(run_at)(points.omega))
+        told.append(judged)
+        if len(parts) > 1 or np.abs(K - K_run).max() <= _NOTHING * np.abs(K).max():
+            continue  # the loop that ran
+        gain, reached = model.beyond(float(lines.omega[-1]))
+        last = float(np.abs(np.linalg.eigvals(judged.M[-1])).max())
+        if max(gain, last / 2) >= _BEYOND:
+            raise InvalidInput(
+                f"the last line, {lines.omega[-1] / TWO_PI:.4g} Hz, is too low: the loop's gain "
+                f"there is {last:.2g}, and beyond it up to {gain:.2g} by the machine file's model; "
+                f"sweep to {reached / TWO_PI:.4g} Hz"
+            )
+        first = lines.omega <= max(3 * lines.omega[0], lines.omega[5])
+        stiffness = _stiffness(lines, K_run[block])[first]
+        count = turns(judged, lines.omega[first], stiffness, of(at), of(run_at))
+        own, before = _unstable(law), 0 if ran is None else _unstable(ran)
+        open_ = model.unstable if ran is None else 0
+        lost = own - before + open_ - count
     if lost < 0:
         raise InvalidInput(
             f"the responses make {-lost} unstable poles less than none: the running controller "
             "is another one, or a resonance is between two lines; correct the controller, or "
             "sweep closer"
         )
-    checks = _checks(plant, label, lines, judged, lost, model, ran is not None)
+    lines, judged = next(iter(parts.values())), _together(told)
+    named = tuple(i for places in parts for i in places)
+    checks = _checks(plant, label, lines, judged, named, lost, model, ran is not None)
     return replace(checks, notes=_notes(lines, judged, valid))
+
+
+def _parts(
+    response: Response,
+    axes: Sequence[str],
+    K: np.ndarray,
+    K_run: np.ndarray,
+    missing: InvalidInput,
+) -> dict[tuple[int, ...], Lines]:
+    """What single axes tell of K beside K_run (w, a, a): all of them where K ran, and the one that
+    it changes where that has nothing to do with the others; else raises ``missing``.
+
+    With K - K_run = d e_a e_a' of rank one, det(I + Y D) = 1 + Y_aa d and S_aa = S_run,aa/(1 + Y_aa
+    d): (1) and (2) of the axis alone.
+    """
+    own = own_lines(response, axes, K_run)
+    apart_by = np.abs(K - K_run).max(axis=0)
+    either = np.maximum(apart_by.max(axis=0), apart_by.max(axis=1))
+    moved = np.flatnonzero(either > _NOTHING * np.abs(K).max()).tolist()
+    wanted = moved or list(range(len(axes)))
+    alone = all(apart(item, i) for i in moved for item in (K, K_run))
+    if len(moved) > 1 or not alone or not set(wanted) <= set(own):
+        raise missing
+    return {(i,): own[i] for i in wanted}
+
+
+def _together(told: Sequence[Judged]) -> Judged:
+    """Axes that were judged by themselves, S (w, n) on the diagonal of one."""
+    if len(told) == 1:
+        return told[0]
+    S = np.einsum("nw,nm->wnm", [item.S[:, 0, 0] for item in told], np.eye(len(told)))
+    radius = np.concatenate([item.radius for item in told], axis=1)
+    return replace(told[0], S=S, radius=radius)
 
 
 def _unstable(law: StateSpace) -> int:
@@ -599,18 +684,60 @@ class _Model:
         return float(gain.max()), float(omega[high[-1]] if high.size else last)
 
 
+def refuse_scales(
+    response: Response, axes: Sequence[str], G: np.ndarray, K_run: np.ndarray
+) -> np.ndarray:
+    """Y (w, a, a) that the model's G and K_run (w, a, a) make. Raises InvalidInput where a path is
+    several times what they make.
+    """
+    few = evenly(response.omega)
+    Y = np.linalg.inv(np.eye(len(axes)) + G @ K_run) @ G
+    for path in response.paths:
+        if path.read == path.injected:
+            none = np.zeros((0, *Y.shape))
+            made = predicted(path, axes, Y, none, K_run, whole(response, axes))[0]
+            factor = scale_error(replace(path, values=path.values[few]), made[few])
+            if factor is not None:
+                raise InvalidInput(
+                    f"{path.name} is about {factor:.2g} times what the machine file and the "
+                    "running controller make; correct its scale, or give the controller that ran"
+                )
+    return np.asarray(Y)
+
+
+def evenly(omega: np.ndarray) -> np.ndarray:
+    """Numbers of lines that are as dense everywhere as at their widest."""
+    even = np.geomspace(omega[0], omega[-1], 60)
+    return np.unique(np.searchsorted(omega, even * (1 - 1e-9)))
+
+
 def _refuse_others(
     response: Response,
-    lines: Lines,
+    parts: Mapping[tuple[int, ...], Lines],
     axes: Sequence[str],
     K_run: np.ndarray,
     model: _Model,
     ran: bool,
-) -> float:
-    """Up to which frequency [rad/s] model and measurement agree within _VALID on the plant's
-    diagonal; 0 from the first line. Raises InvalidInput where the controller is not the one that
-    ran, or the plant none of this machine.
+) -> Agreement:
+    """Up to which frequency model and measurement agree on the plant's diagonal, or on that of an
+    axis with the other loops closed. Raises
+    InvalidInput where a scale is wrong, the controller is not the one that ran, or the plant none
+    of this machine.
     """
+    omega, modelled = response.omega, model.plant(response.omega)
+    few = evenly(omega)
+    closed = refuse_scales(response, axes, modelled, K_run)
+    lines = next(iter(parts.values()))
+    if lines.X.shape[1] < len(axes):
+        # G_a = (1/Y_aa - k_a)^-1, the other loops closed
+        pairs = {
+            places[0]: [
+                1 / _stiffness(one, K_run[:, [[places[0]]], [[places[0]]]])[:, 0, 0],
+                1 / (1 / closed[:, places[0], places[0]] - K_run[:, places[0], places[0]]),
+            ]
+            for places, one in parts.items()
+        }
+        return _agreed(omega, axes, pairs, few, ran)
     Y = _motion(lines.kind, lines.X, K_run)[0]
     none = np.zeros((0, *Y.shape))
     for path in response.paths if ran else ():
@@ -628,32 +755,46 @@ def _refuse_others(
                 "make; give the controller that ran (--running), or correct that path"
             )
     G = np.linalg.inv(_stiffness(lines, K_run))
-    own, other = (np.einsum("wii->iw", item) for item in (G, model.plant(lines.omega)))
-    # lines as dense everywhere as at their widest, for some are packed about a mode
-    even = np.geomspace(lines.omega[0], lines.omega[-1], 60)
-    few = np.unique(np.searchsorted(lines.omega, even * (1 - 1e-9)))
-    off = distance(list(zip(own[:, few], other[:, few], strict=True)))
+    own, other = (np.einsum("wii->iw", item) for item in (G, modelled))
+    pairs = {i: [own[i], other[i]] for i in range(len(axes))}
+    return _agreed(omega, axes, pairs, few, ran)
+
+
+def _agreed(
+    omega: np.ndarray,
+    axes: Sequence[str],
+    pairs: Mapping[int, Sequence[np.ndarray]],
+    few: np.ndarray,
+    ran: bool,
+) -> Agreement:
+    """Of measured and modelled plants (w,) by axis. Raises InvalidInput where they are of two."""
+    off = distance([(own[few], other[few]) for own, other in pairs.values()])
     if off > _OTHER:
         raise InvalidInput(
             f"the plant that these responses {'and the running controller ' if ran else ''}make is "
             f"{off:.0%} off the machine file's; give the controller that ran, and the responses of "
             "this machine"
         )
-    ratio = other / own
-    apart = (np.abs(np.abs(ratio) - 1) > _VALID[0]) | (np.abs(np.angle(ratio)) > _VALID[1])
-    # one line may be off by noise, three in turn are not
-    row = apart[:, :-2] & apart[:, 1:-1] & apart[:, 2:]
-    if not row.any():
-        return float(lines.omega[-1])
-    k = int(np.argmax(row.any(axis=0)))
-    return float(lines.omega[k - 1]) if k else 0.0
+    return agreement(
+        [(omega, Path("G", axes[i], axes[i], own), other) for i, (own, other) in pairs.items()]
+    )
 
 
 def _checks(
-    plant: Plant, label: str, lines: Lines, judged: Judged, lost: int, model: _Model, ran: bool
+    plant: Plant,
+    label: str,
+    lines: Lines,
+    judged: Judged,
+    told: tuple[int, ...],
+    lost: int,
+    model: _Model,
+    ran: bool,
 ) -> Checks:
-    """The verdict, every figure by the unfavourable end of its interval."""
-    requirements, axes = plant.machine.requirements, plant.axes
+    """The verdict, every figure by the unfavourable end of its interval; told: the axes of judged,
+    by themselves where they were not measured together.
+    """
+    requirements, axes = plant.machine.requirements, [plant.axes[i] for i in told]
+    whole = lines.X.shape[1] == len(plant.axes)
     by = (
         "by det(I + G K)/det(I + G K_run) against the loop that ran"
         if ran
@@ -669,7 +810,7 @@ def _checks(
         Demand(0.0, "<=", "stability"),
         f"{by}; model: {said}, {model.stability.abscissa:+.4g} 1/s",
     )
-    label = f"{label}, measured"
+    label += MEASURED
     if lost:
         return Checks(label, False, (stability,))
     speed = max(top_speed(plant.machine), plant.point.speed)
@@ -677,13 +818,31 @@ def _checks(
     within = judged.omega <= highest
     omega = judged.omega[within]
     S = np.einsum("wii->iw", judged.S)[:, within]
-    rows = np.vstack([judged.largest[within][None], np.abs(S)])
-    radii = np.vstack([judged.largest_radius[within][None], judged.radius[within].T])
     other = model.sensitivity(omega)
-    others = np.vstack([largest_gain(other)[None], np.abs(np.einsum("wii->iw", other))])
+    rows, radii = np.abs(S), judged.radius[within].T
+    others = np.abs(np.einsum("wii->iw", other))[list(told)]
+    named = list(axes)
+    if whole:
+        rows = np.vstack([judged.largest[within][None], rows])
+        radii = np.vstack([judged.largest_radius[within][None], radii])
+        others = np.vstack([largest_gain(other)[None], others])
+        named.insert(0, "max")
     checks, curves = [stability], []
+    if not whole:
+        missing = [axis for axis in plant.axes if axis not in axes]
+        reason = (
+            "each by itself, the largest singular value is not told; sweep every axis while all "
+            "displacements are recorded"
+        )
+        if missing:
+            reason = (
+                f"not told: {', '.join(missing)}, which the changed axis couples with; {reason}"
+            )
+        wanted = Demand(float(len(plant.axes)), ">=", "")
+        title = "Axes whose sensitivity the responses tell"
+        checks.append(judge("sensitivity.told", title, float(len(axes)), "-", wanted, reason))
     limit = demand("maximum singular value of a sensitivity", requirements).limit
-    for name, row, radius, expected in zip(("max", *axes), rows, radii, others, strict=True):
+    for name, row, radius, expected in zip(named, rows, radii, others, strict=True):
         rule = (
             "maximum singular value of a sensitivity"
             if name == "max"
@@ -716,7 +875,7 @@ def _checks(
                 "frequency",
                 omega,
                 values,
-                (ALL_AXES, *axes),
+                tuple(ALL_AXES if name == "max" else name for name in named),
                 "rad/s",
                 "-",
                 zone_lines(SENSITIVITY, limit, "an axis"),
@@ -746,14 +905,13 @@ def _checks(
     return Checks(label, True, tuple(checks), tuple(curves))
 
 
-def _notes(lines: Lines, judged: Judged, valid: float) -> tuple[str, ...]:
+def _notes(lines: Lines, judged: Judged, valid: Agreement) -> tuple[str, ...]:
     k = int(np.argmax(judged.spacing / judged.omega))
     narrow = _SEEN * float(judged.spacing[k] / judged.omega[k])
-    agree = f"agree up to {valid / TWO_PI:.4g} Hz" if valid else "differ from the first line"
     return (
         f"Measured at {len(lines.omega)} lines from {lines.omega[0] / TWO_PI:.4g} to "
-        f"{lines.omega[-1] / TWO_PI:.4g} Hz; outside them the model stands. There model and "
-        f"measured plant {agree} (10 %, 10 degrees).",
+        f"{lines.omega[-1] / TWO_PI:.4g} Hz; outside them the model stands. Of the plant, "
+        f"{valid}.",
         "All intervals together hold with 95 % of the noise. A mode that neither the machine file "
         f"nor a line shows could hide between lines if damped by less than {narrow:.2g} (near "
         f"{judged.omega[k] / TWO_PI:.4g} Hz).",

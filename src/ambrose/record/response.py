@@ -7,9 +7,11 @@ axis, the other loops closed.
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path as File
 from typing import Any
 
 import numpy as np
@@ -18,7 +20,7 @@ from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.presentation import Presented
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.units import DIMENSIONS, in_si
-from ambrose.record.record import POINT_KEYS, check_operating_point, check_rate
+from ambrose.record.record import POINT_KEYS, Record, check_operating_point, check_rate
 
 # quantity -> in words, and its SI unit over and under the line
 QUANTITIES: Mapping[str, tuple[str, str, str]] = {
@@ -34,6 +36,14 @@ _KINDS = {"m": "length", "A": "current"}
 _FEW = 3  # frequencies at least
 _CYCLE = 2 * np.pi  # [rad]
 _SAME = 1e-6  # S + T - 1 of columns of which one was computed from the other
+SCATTER_DOF = 20  # of a variance that the lines' own scatter tells
+VALID = 0.1, np.radians(10.0)  # relative in magnitude, and in phase: a model agrees
+_RADIUS = 1.73  # of a complex value's deviation: sqrt(-ln 0.05), the circle that holds 95 %
+_LIMIT, _LIMIT_LINES = 0.3, 5  # S or T this near 1 is at its limit of high or low frequency
+_SCALE, _SCALE_OF_PLANT = 1.15, 1.7  # factors that are mistakes; of G and L K_i may make less
+_FLOOR = 0.05  # of a path's median size, below which noise falls no further
+_SMOOTH = 9  # lines whose mean is looked at
+_NEARER = 3.0  # a correction brings a path so much nearer
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,6 +163,17 @@ def _check(path: Path, lines: int, omega: np.ndarray) -> None:
         raise InvalidInput(f"{path.name} is zero or never changes: a dead channel; leave it out")
 
 
+Measured = Record | Response | str | File  # what was measured, or its file
+
+
+def digest_of(response: Response, number: int) -> tuple[str, str]:
+    """A name of responses that are of no file, and the SHA-256 of what was measured."""
+    digest = hashlib.sha256(repr(response.attributes).encode())
+    for path in response.paths:
+        digest.update(path.name.encode() + np.ascontiguousarray(path.values).tobytes())
+    return f"responses {number}", digest.hexdigest()
+
+
 def unit_factor(quantity: str, unit: str) -> float:
     """SI per ``unit`` ("um/A", "1/1", "%") of a quantity. Raises InvalidInput."""
     over, under = QUANTITIES[quantity][1:]
@@ -256,3 +277,144 @@ def distance(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> float:
     apart = np.sum([np.abs(x - v) for x, v in pairs], axis=0)
     size = np.sum([np.abs(x) + np.abs(v) for x, v in pairs], axis=0)
     return float(np.median(apart / np.maximum(size, 1e-300)))
+
+
+def scale_error(path: Path, values: np.ndarray) -> float | None:
+    """The factor by which a path is larger than modelled values (w,), where one factor brings it
+    much nearer; None: none does. S and T by the lines at which they are near 1, whatever K_i is.
+    """
+    x, v = path.values, values
+    near_one = np.abs(v - 1) < _LIMIT
+    known = path.quantity == "K"
+    if path.quantity in "ST" and near_one.sum() >= _LIMIT_LINES:
+        x, v, known = x[near_one], v[near_one], True
+    if not v.all():
+        return None
+    factor = float(np.exp(np.median(np.log(np.abs(x / v)))))
+    if abs(np.log(factor)) < np.log(_SCALE if known else _SCALE_OF_PLANT):
+        return None
+    return factor if _NEARER * distance([(x / factor, v)]) < distance([(x, v)]) else None
+
+
+# What the lines themselves tell of their noise, and up to where a model agrees with them.
+
+
+def cubic(x: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """Lagrange's weights (w, 4) at x (w,) of nodes (w, 4)."""
+    weights = np.ones(nodes.shape)
+    for i in range(4):
+        for m in range(4):
+            if m != i:
+                weights[:, i] *= (x - nodes[:, m]) / (nodes[:, i] - nodes[:, m])
+    return weights
+
+
+def scatter(omega: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Variance (w,) of values (w,), at least five: the median over twenty lines of what each is off
+    the cubic through its four neighbours, which a resonance that few lines show does not move.
+    """
+    x, n = np.log(omega), len(omega)
+    first = np.clip(np.arange(n) - 2, 0, n - 5)
+    window = first[:, None] + np.arange(5)
+    others = window[window != np.arange(n)[:, None]].reshape(n, 4)
+    weights = cubic(x, x[others])
+    miss = np.abs(values - np.einsum("wk,wk->w", weights, values[others])) ** 2
+    miss /= 1 + (weights**2).sum(axis=1)
+    half = min(SCATTER_DOF // 2, n // 2)
+    middle = np.clip(np.arange(n), half, n - 1 - half)
+    around = np.clip(middle[:, None] + np.arange(-half, half + 1), 0, n - 1)
+    floor = (1e-9 * np.abs(values).max()) ** 2
+    return np.asarray(np.median(miss[around], axis=1) / np.log(2) + floor)
+
+
+def noise_beside(omega: np.ndarray, path: Path, values: np.ndarray) -> np.ndarray:
+    """Variance (w,) of a path: as stated, else by what its difference from a model's values (w,),
+    over the path's size, scatters from line to line; none of fewer than five lines.
+    """
+    if path.variance is not None:
+        return path.variance
+    if len(omega) < _LIMIT_LINES:
+        return np.zeros(len(omega))
+    size = np.hypot(np.abs(path.values), _FLOOR * np.median(np.abs(path.values)))
+    return scatter(omega, (path.values - values) / size) * size**2
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """Up to which frequency [rad/s] a model agrees within VALID, 0 from the first line; told: the
+    share of values below that are not hidden by noise; first: path, frequency [rad/s] and model
+    over measurement where it differs (None: nowhere); whole: whether the reach is the last line.
+    """
+
+    reach: float
+    told: float
+    first: tuple[str, float, complex] | None
+    whole: bool
+
+    def __str__(self) -> str:
+        what = "model and measurement"
+        away = ""
+        if self.first is not None:
+            name, omega, ratio = self.first
+            turn = abs(np.degrees(np.angle(ratio)))
+            size = f"{abs(abs(ratio) - 1):.0%}, {turn:.0f} degrees"
+            away = f"at {omega / _CYCLE:.4g} Hz {name} is {size} off"
+        if not self.reach:
+            hidden = f"noise hides whether {what} agree within 10 % and 10 degrees; average longer"
+            return f"{what} do not agree within 10 % and 10 degrees: {away}" if away else hidden
+        text = f"{what} agree within 10 % and 10 degrees up to {self.reach / _CYCLE:.4g} Hz"
+        if self.told < 0.995:
+            text += f" (told by {self.told:.0%} of the values, noise hides the others)"
+        if away:
+            return f"{text}; {away}"
+        return text if self.whole else f"{text}; above, noise hides it"
+
+
+def agreement(items: Sequence[tuple[np.ndarray, Path, np.ndarray]]) -> Agreement:
+    """Of paths at omega (w,) with a model's values (w,), and their noise by ``noise_beside``, which
+    is never what both are apart.
+
+    Measured over modelled, line by line and as a mean over nine: differs where it is outside the
+    tolerance by more than all values' noise may make, agrees where it is inside by 95 %.
+    """
+    count = sum(len(omega) for omega, _, _ in items)
+    radius = np.sqrt(np.log(count / 0.05))  # of a complex value, all together: exp(-r^2)
+    found = []
+    for omega, path, values in items:
+        quotient = path.values / np.where(values == 0, 1e-300, values)
+        noise = noise_beside(omega, path, values) / np.maximum(np.abs(values), 1e-300) ** 2
+        off, agrees, shown = np.zeros(len(omega), bool), np.ones(len(omega), bool), quotient
+        for width in (1, _SMOOTH):
+            ones = np.ones(min(width, len(omega)))
+            lines = np.convolve(np.ones(len(omega)), ones, "same")
+            mean = np.convolve(quotient, ones, "same") / lines
+            sigma = np.sqrt(np.convolve(noise, ones, "same")) / lines
+            told = _RADIUS * sigma <= VALID[0]
+            away = _outside(mean, radius * sigma)
+            shown = np.where(away & ~off, mean, shown)
+            off |= away
+            agrees &= ~told | ~_outside(mean, _RADIUS * sigma)
+        found.append((omega, path.name, 1 / shown, agrees & told & ~off, off))
+    differs = [
+        (float(omega[int(np.argmax(off))]), name, complex(ratio[int(np.argmax(off))]))
+        for omega, name, ratio, _, off in found
+        if off.any()
+    ]
+    first = min(differs, key=lambda item: item[0], default=None)
+    below = np.inf if first is None else first[0]
+    reach = min(
+        float(omega[good & (omega < below)].max(initial=0.0)) for omega, _, _, good, _ in found
+    )
+    inside = np.concatenate([good[omega <= reach] for omega, _, _, good, _ in found])
+    share = float(inside.mean()) if inside.size else 0.0
+    whole = reach == max(float(omega[-1]) for omega, *_ in found)
+    where = None if first is None else (first[1], first[0], first[2])
+    return Agreement(reach, share, where, whole)
+
+
+def _outside(quotient: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """Whether measured over modelled (w,) is off by more than VALID and its radius."""
+    size = np.abs(quotient)
+    far = np.abs(size - 1) > VALID[0] + radius
+    turn = np.where(radius < size, np.arcsin(np.minimum(radius / size, 1.0)), np.pi)
+    return np.asarray(far | (np.abs(np.angle(quotient)) > VALID[1] + turn))

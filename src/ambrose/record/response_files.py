@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path as File
 from typing import Annotated, Any
@@ -225,6 +225,8 @@ def _own_map(path: File) -> ResponseMap:
         known = found.setdefault(
             (quantity, read, injected or read, at or SENSOR), {"averages": averages}
         )
+        if part in known:
+            raise InvalidInput(f"the column {quoted(name)} is there twice; leave one out")
         known[part] = name
         if part in {"gain", "phase"} and unit in {"dB", "deg", "rad", "abs", "°"}:
             known[f"{part}_unit"] = unit.replace("°", "deg")
@@ -232,8 +234,8 @@ def _own_map(path: File) -> ResponseMap:
             raise InvalidInput(f"{name} states no angle as its unit; write [deg] or [rad]")
         elif part == "gain" and not unit:
             raise InvalidInput(f"{name} states no unit; write [abs] or [dB], or such as [um/A]")
-        elif part != "coherence" and unit:
-            known["unit"] = unit
+        elif part != "coherence" and unit and known.setdefault("unit", unit) != unit:
+            raise _two_units(name, [known["unit"], unit])
     paths = [
         PathColumns(quantity=q, read=i, injected=j, at=at, **columns)
         for (q, i, j, at), columns in found.items()
@@ -256,6 +258,13 @@ def _stated(said: Mapping[str, str]) -> tuple[OperatingPoint, float | None, floa
         raise
     except ValueError as error:
         raise InvalidInput(f"an attribute is no number ({error}); correct it") from None
+
+
+def _two_units(name: str, units: Sequence[str]) -> InvalidInput:
+    return InvalidInput(
+        f"the columns of {name} state two units, {' and '.join(units)}; export them in one, or "
+        "state their unit in a column map"
+    )
 
 
 def _mapped(path: File, columns: ResponseMap) -> Response:
@@ -311,7 +320,17 @@ def _rates(column: Column, variable: Variable) -> np.ndarray:
 def _path(item: PathColumns, data: Mapping[str, Variable], omega: np.ndarray) -> Path:
     injected = item.injected or item.read
     empty = Path(item.quantity, item.read, injected, np.ones(1, complex), None, item.at)
-    unit = item.unit or (data[item.source].unit if item.source else "")
+    # what the columns themselves state, where the map does not
+    columns = (item.source, item.gain, item.real, item.imag, item.deviation)
+    units = dict.fromkeys(data[column].unit for column in columns if column)
+    stated = [unit for unit in units if unit not in {"", "dB", "abs", "-"}]
+    if not item.unit and len(stated) > 1:
+        raise _two_units(empty.name, stated)
+    for column, said in ((item.gain, item.gain_unit), (item.phase, item.phase_unit)):
+        own = data[column].unit if column else ""
+        if own in {"dB", "deg", "rad"} and own != said:
+            raise _two_units(empty.name, [own, f"{said} (the map's)"])
+    unit = item.unit or next(iter(stated), "")
     name, factor = empty.name, item.sign * unit_factor(item.quantity, unit)
 
     def real(source: str) -> np.ndarray:

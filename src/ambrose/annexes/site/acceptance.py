@@ -7,6 +7,8 @@ K as it runs, which is known exactly; references r_<axis> give T_o = y/r. Then S
 feedback, its error known line by line (identification/frf_spectral.py).
 
 accepted = accept(machine, controller, ["standstill.h5", "running.h5"])
+
+From an analyser's responses S comes as they are (judge/measured.py), with the same checks.
 """
 
 from __future__ import annotations
@@ -14,7 +16,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,8 +31,10 @@ from ambrose.identification.data_quality.signals import check_point
 from ambrose.identification.findings import Finding
 from ambrose.identification.frf_spectral import Frf, band_width, local_response
 from ambrose.identification.output_error.problem import check_machine
+from ambrose.identification.responses import as_responses
 from ambrose.identification.validation.places import machine_at_load
 from ambrose.judge.checks import Check, Checks, holds, information, judge
+from ambrose.judge.measured import refuse_scales, sensitivity_of
 from ambrose.law.law import LawLike
 from ambrose.law.loop import Timing, check_clock, closed_loop, running_law, timing_of
 from ambrose.machine.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, TWO_PI, Demand, demand
@@ -42,6 +45,7 @@ from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant, top_speed
 from ambrose.record.files import read_record
 from ambrose.record.record import Record
+from ambrose.record.response import Measured, Response, digest_of, usable
 
 # Which lines of a measured loop tell anything of a limit, and where to excite for the others.
 #
@@ -246,6 +250,7 @@ _SAME_LAW = 0.1  # of the measured response of the controller, by which the file
 _CURVED = 0.01
 _ALL_LINES = 2.3  # half-widths of one line that hold a thousand lines together (Bonferroni)
 _DOUBTED = 1.5  # times the half-widths of the file's parameters: 99.7 %
+_COMPONENT = 1.43  # half-width of a component, 95 % of 20 degrees of freedom: 2.02/sqrt(2)
 _WHOLE = 0.8  # coherence of a line that tells
 
 
@@ -361,7 +366,7 @@ class Acceptance(Presented):
 def accept(
     machine: Machine,
     controller: LawLike,
-    records: Record | str | Path | Sequence[Record | str | Path],
+    records: Measured | Sequence[Measured],
     *,
     harmonics: int = 3,
     delay_samples: int | None = None,
@@ -371,18 +376,25 @@ def accept(
 
     controller: the one that ran, a Synthesis or anything with A, B, C, D. records: as they are or
     their files, with displacements y_<axis> and excitations e_<axis> [A] or r_<axis> [m] of every
-    axis, alike in no two of them; with u_<axis> the controller is checked, too. harmonics:
+    axis, alike in no two of them; with u_<axis> the controller is checked, too; or frequency
+    responses or their files, one for each operating point. harmonics:
     multiples of the speed up to which unbalance and run-out are taken out. delay_samples: of the
     controller (None: as it or the machine file says). Raises InvalidInput.
     """
-    several = [records] if isinstance(records, Record | str | Path) else list(records)
+    several = [records] if isinstance(records, Measured) else list(records)
     if not several:
         raise InvalidInput(
             "no record was given; record y_<axis> with an excitation e_<axis> or r_<axis> on "
             "every axis"
         )
-    read = [item if isinstance(item, Record) else read_record(item) for item in several]
     names = tuple(_named(item, number) for number, item in enumerate(several, 1))
+    if responses := as_responses(several):
+        return _accept_responses(machine, controller, responses, delay_samples, names)
+    read = [
+        item if isinstance(item, Record) else read_record(item)
+        for item in several
+        if not isinstance(item, Response)
+    ]
     points: dict[OperatingPoint, list[Record]] = {}
     for number, record in enumerate(read, 1):
         _check(machine, record, number)
@@ -405,6 +417,110 @@ def accept(
         _measure(machine, controller, timing, group, harmonics, said) for group in points.values()
     )
     return Acceptance(machine, controller, str(timing), measured, names)
+
+
+def _accept_responses(
+    machine: Machine,
+    controller: LawLike,
+    responses: Sequence[Response],
+    delay_samples: int | None,
+    names: tuple[tuple[str, str], ...],
+) -> Acceptance:
+    """The loop as an analyser measured it."""
+    rate = responses[0].sample_rate_hz
+    timing = timing_of(machine, controller, rate)
+    if timing is None:
+        raise InvalidInput(
+            "nothing says how often the controller runs; state sample_rate_hz with the responses, "
+            "or sample_time in [controller] of the machine file"
+        )
+    if delay_samples is not None:
+        timing = Timing(timing.sample_time, delay_samples)
+    points = [replace(response.point, label="") for response in responses]
+    for number, (response, point) in enumerate(zip(responses, points, strict=True), 1):
+        if response.machine != machine.name:
+            remedy = "take that machine's file"
+            what = f"the machine of responses {number}"
+            raise invalid(what, repr(response.machine), repr(machine.name), remedy)
+        if point in points[: number - 1]:
+            raise InvalidInput(
+                f"responses {number} are of the same operating point as others; give one file for "
+                "each point"
+            )
+    measured = tuple(_of_response(machine, controller, timing, one) for one in responses)
+    return Acceptance(machine, controller, str(timing), measured, names)
+
+
+def _of_response(
+    machine: Machine, controller: LawLike, timing: Timing, response: Response
+) -> MeasuredLoop:
+    """S and its intervals from the variances of the responses; what was not measured between the
+    axes, and with it the largest singular value, is NaN and not told.
+    """
+    axes, point = machine.axes, response.point
+    plant = assemble(machine, point)
+    law = running_law(controller, plant, timing)
+    response = usable(response, axes, timing.sample_time)
+    highest = max(
+        SENSITIVITY_RANGE.limits[0].value, SPEED_RANGE_FACTOR * max(top_speed(machine), point.speed)
+    )
+    omega = response.omega
+    K = frequency_response(law, omega).values
+    held = c2d(select(plant.system, plant.named("u"), plant.named("y")), timing.sample_time)
+    refuse_scales(response, axes, frequency_response(held, omega).values, K)
+    S, deviation, above = sensitivity_of(response, axes, K)
+
+    # lines above the range of the limits tell nothing of them
+    kept = omega <= highest
+    omega, K, S, deviation, above = (item[kept] for item in (omega, K, S, deviation, above))
+    noise = _COMPONENT * deviation
+    own = np.abs(np.einsum("wii->wi", S))
+    half = np.hypot(noise, _CURVED * own * np.abs(1 - np.einsum("wii->wi", S)))
+    whole = bool(np.isfinite(S).all())
+    sigma = np.linalg.norm(S, 2, axis=(1, 2)) if whole else np.zeros(len(omega))
+    high = sigma + _COMPONENT * np.nan_to_num(above)
+    limits = [
+        demand(words, machine.requirements).limit
+        for words in ("sensitivity of an axis", "maximum singular value of a sensitivity")
+    ]
+    last = telling(sigma, high - sigma, limits[1]) & whole
+    told = np.column_stack([telling(own, noise, limits[0]), last])
+    stated = sum(path.variance is not None for path in response.paths)
+    loop = MeasuredLoop(
+        point,
+        axes,
+        omega,
+        S,
+        half,
+        sigma,
+        np.maximum(2 * sigma - high, 0.0),
+        high,
+        (("predicted", _predicted(plant, K, omega, timing.sample_time)),),
+        np.ones((len(omega), len(axes))),
+        Checks(point.label or f"{point.speed / TWO_PI:.4g} Hz", True, (), (), ()),
+        between(plant, law, omega),
+        told,
+    )
+    resonances = predicted_resonances(plant, law, min(highest, float(omega[-1])))
+    seen = [item for item in resonances if omega[0] < item.frequency]
+    widest = max(
+        (float(np.interp(r.frequency, omega, np.gradient(omega))) / r.width for r in seen),
+        default=0.0,
+    )
+    title = "Spacing of the lines over the width of a predicted resonance, at most"
+    wanted = Demand(1.0, "<=", "")
+    detail = "sweep closer there" if widest > 1 else "the lines show every one"
+    checks = (
+        *_checks(loop, machine, highest, _allowed(plant, law, omega)),
+        judge("sensitivity.resolution", title, widest, "-", wanted, detail),
+    )
+    notes = (
+        f"{len(omega)} lines of {len(response.paths)} responses; noise is stated for {stated}, the "
+        "scatter of the lines tells the others. Limits judge the outer end of the 95 % interval.",
+        "Responses hold no time signal: clipping, the currents beside the controller's and the "
+        "delay are not checked; accept from records for these.",
+    )
+    return replace(loop, checks=replace(loop.checks, checks=checks, notes=notes))
 
 
 def _told(findings: Sequence[Finding]) -> list[Check]:
@@ -431,8 +547,10 @@ def _told(findings: Sequence[Finding]) -> list[Check]:
     ]
 
 
-def _named(item: Record | str | Path, number: int) -> tuple[str, str]:
-    """The name of a record and its SHA-256."""
+def _named(item: Measured, number: int) -> tuple[str, str]:
+    """The name of a record, or of responses, and its SHA-256."""
+    if isinstance(item, Response):
+        return digest_of(item, number)
     if not isinstance(item, Record):
         path = check_source(item, "record")
         with path.open("rb") as file:
@@ -756,24 +874,30 @@ def _checks(
         )
     wanted = demand("maximum singular value of a sensitivity", requirements)
     largest = np.linalg.norm(file, 2, axis=(1, 2))
-    words = "maximum singular value"
-    found.append(
-        _peak(
-            "sensitivity.output.max",
-            words,
-            loop.omega,
-            loop.sigma,
-            loop.low,
-            loop.high,
-            largest,
-            loop.between[:, -1],
-            loop.told[:, -1],
-            wanted,
+    name, words = "sensitivity.output.max", "maximum singular value"
+    if np.isfinite(loop.S).all():
+        found.append(
+            _peak(
+                name,
+                words,
+                loop.omega,
+                loop.sigma,
+                loop.low,
+                loop.high,
+                largest,
+                loop.between[:, -1],
+                loop.told[:, -1],
+                wanted,
+            )
         )
-    )
-    names = [*loop.axes, words]
+    names = [*loop.axes, words][: len(found)]
     both, limits = np.column_stack([predicted, largest]), [check.limit for check in found]
-    reach = judged_reach(names, loop.omega, loop.told, both, limits)
+    count = len(names)
+    reach = judged_reach(names, loop.omega, loop.told[:, :count], both[:, :count], limits)
+    if count == len(loop.axes):
+        title, remedy = f"Measured peak sensitivity, {words}", "sweep every axis, record all"
+        detail = f"not measured between the axes: {remedy} displacements"
+        found.append(information(name, title, float("nan"), "-", detail))
     for i, axis in enumerate(loop.axes):
         phase, at = phase_margin(loop.omega, loop.loops[:, i], told[:, i])
         detail = (

@@ -703,7 +703,8 @@ def _compared(before: Verification, after: Verification | None) -> Table:
         for name, words in _COMPARED:
             found = [_named_of_page(checks, name) for checks in pair]
             if any(check is not None for check in found):
-                rows.append((old.label, words, *map(_cell, found)))
+                cells = map(_cell, found, [checks.stable for checks in pair])
+                rows.append((old.label, words, *cells))
     return Table("Point by point", columns, tuple(rows), "", by_cell=True)
 
 
@@ -711,9 +712,9 @@ def _named_of_page(checks: Checks, name: str) -> Check | None:
     return next((check for check in checks.checks if check.name == name), None)
 
 
-def _cell(check: Check | None) -> Cell:
+def _cell(check: Check | None, stable: bool) -> Cell:
     if check is None:
-        return Cell("unstable", "fail")
+        return Cell("not measured") if stable else Cell("unstable", "fail")
     unit = "1/s" if check.name == "stability.abscissa" else check.unit
     text = units.quantity(check.value, unit)
     return Cell(text, "fail" if check.passed is False else "number")

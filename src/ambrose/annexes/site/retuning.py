@@ -32,8 +32,10 @@ from ambrose.identification.findings import Code
 from ambrose.identification.output_error.problem import check_machine
 from ambrose.identification.parameters import COVERAGE, half_width
 from ambrose.identification.pipeline import identify
+from ambrose.identification.responses import as_responses
 from ambrose.identification.result import LoopIdentification, Provenance
 from ambrose.judge.checks import Checks, Verification
+from ambrose.judge.measured import MEASURED, lines_of
 from ambrose.judge.result import Status, Synthesis, synthesis_of
 from ambrose.judge.verdict import verify_controller
 from ambrose.law.law import LawLike
@@ -47,6 +49,7 @@ from ambrose.model.plant import Plant
 from ambrose.model.static_load import residual_unbalance
 from ambrose.record.files import read_record
 from ambrose.record.record import Record
+from ambrose.record.response import Measured, Response, digest_of, usable
 from ambrose.rig.scenario import Scenario, Unbalance
 from ambrose.rig.trace import Trace
 from ambrose.rig.trial import simulate_scenario
@@ -253,7 +256,7 @@ _MOST = 3  # failed checks that are named
 # instead; currents and displacements, and so the loop, are the same then
 _AS_CHANGED = {Code.FAR_FROM_FILE, Code.COMMON_FACTOR}
 Progress = Callable[[str], None]
-Records = Record | str | Path | Sequence[Record | str | Path]
+Records = Measured | Sequence[Measured]
 
 
 def _quiet(stage: str) -> None:
@@ -272,6 +275,8 @@ class _Chain:
     began: dict[str, Any]
     steps: list[Step]
     made: dict[str, Any]
+    responses: tuple[Response, ...] = ()
+    untold: str = ""  # why the last verification is not of the measured plant
 
     def keep(self, outcome: str | None = None) -> Retuning:
         """The state as it is now, kept in the folder; outcome: None as the steps say."""
@@ -315,9 +320,11 @@ def retune(
     change where it does not.
 
     machine: or a name or a file. records: with excitations e_<axis> [A] and displacements y_<axis>
-    [m] of the running machine, with u_<axis> [A] best. controller: the one that ran, a file or a
-    law, fixed. directory: keeps identified.toml, controller.json, code/ and retuning.json; a run
-    with the same arguments takes the design up again. unknown: what to identify, as for
+    [m] of the running machine, with u_<axis> [A] best; or frequency responses of one operating
+    point: then controllers are judged there on the measured plant. controller: the one that ran, a
+    file or a law, fixed. directory: keeps identified.toml, controller.json, code/ and
+    retuning.json; a run with the same arguments takes the design up again. unknown: what to
+    identify, as for
     ``identify`` (empty: what is usual); bending_modes: per plane in the model that is fitted.
     accept_from: records with the new controller running, by
     which the change is accepted. changed: the machine is known to have changed beyond the file's
@@ -349,7 +356,8 @@ def retune(
         make_folder(folder)
         wanted = (unknown,) if isinstance(unknown, str) else tuple(unknown)
         began = _begun(folder, given, running, names, (*wanted, f"{bending_modes} bending modes"))
-        chain = _Chain(given, running, timing, folder, progress, began, [], {})
+        responses = tuple(item for item in measured if isinstance(item, Response))
+        chain = _Chain(given, running, timing, folder, progress, began, [], {}, responses)
         fit = {"unknown": unknown, "bending_modes": bending_modes}
         files = tuple(name for name, _ in names)
         _identified(chain, measured, files, fit, changed=changed)
@@ -364,28 +372,46 @@ def _none_given(records: Records) -> bool:
     return isinstance(records, Sequence) and not isinstance(records, str) and not len(records)
 
 
-def _read(records: Records) -> tuple[tuple[Record, ...], tuple[tuple[str, str], ...]]:
-    """The records, each with its name and SHA-256."""
-    several = [records] if isinstance(records, Record | str | Path) else list(records)
+def _read(
+    records: Records,
+) -> tuple[tuple[Record | Response, ...], tuple[tuple[str, str], ...]]:
+    """The records, or responses, each with its name and SHA-256."""
+    several = [records] if isinstance(records, Measured) else list(records)
     if not several:
         raise InvalidInput("no record was given; record the machine running, with an excitation")
-    read = tuple(item if isinstance(item, Record) else read_record(item) for item in several)
+    read: tuple[Record | Response, ...] = as_responses(several) or tuple(
+        item if isinstance(item, Record) else read_record(item)
+        for item in several
+        if not isinstance(item, Response)
+    )
     names = []
     for number, (item, record) in enumerate(zip(several, read, strict=True), 1):
-        digest = hashlib.sha256(np.ascontiguousarray(record.values).tobytes()).hexdigest()
-        name = f"record {number}" if isinstance(item, Record) else Path(item).name
-        names.append((name, digest))
+        if isinstance(record, Response):
+            name, digest = digest_of(record, number)
+        else:
+            name = f"record {number}"
+            digest = hashlib.sha256(np.ascontiguousarray(record.values).tobytes()).hexdigest()
+        names.append((Path(item).name if isinstance(item, str | Path) else name, digest))
     return read, tuple(names)
 
 
-def _timing(machine: Machine, running: Synthesis, records: Sequence[Record]) -> Timing:
+def _timing(machine: Machine, running: Synthesis, records: Sequence[Record | Response]) -> Timing:
     """When the running controller acts; the rate of the records where nothing else says one.
     Raises InvalidInput where it is another than the records'.
     """
-    timing = timing_of(machine, running) or Timing(records[0].dt, 1, "the record's rate")
+    stated = [one.sample_rate_hz for one in records if isinstance(one, Response)]
+    timing = timing_of(machine, running, stated[0] if stated else None)
+    if timing is None and isinstance(records[0], Record):
+        timing = Timing(records[0].dt, 1, "the record's rate")
+    if timing is None:
+        raise InvalidInput(
+            "nothing says how often the controller runs; state sample_rate_hz with the responses, "
+            "or sample_time in [controller] of the machine file"
+        )
     for number, record in enumerate(records, 1):
-        check_machine(machine, record, f"record {number}")
-        check_clock(record.dt, timing, f"record {number}")
+        if isinstance(record, Record):
+            check_machine(machine, record, f"record {number}")
+            check_clock(record.dt, timing, f"record {number}")
     return timing
 
 
@@ -423,7 +449,7 @@ _UNSEEN = (
 
 def _identified(
     chain: _Chain,
-    records: Sequence[Record],
+    records: Sequence[Record | Response],
     names: tuple[str, ...],
     fit: dict[str, Any],
     *,
@@ -452,7 +478,8 @@ def _identified(
     if left and all(item in known for item in left):
         doubts += "; where the machine is known to have changed so, go on with --changed"
     commands = {f"u_{axis}" for axis in chain.given.axes}
-    if doubts and not any(commands & set(record.signals) for record in records):
+    told = [record.signals for record in records if isinstance(record, Record)]
+    if doubts and told and not any(commands & set(signals) for signals in told):
         doubts += f"; {_UNSEEN}"
     count = len(done.result.paths)
     beyond = "".join(f"; as is known: {finding}" for finding in known)
@@ -500,15 +527,51 @@ def _verified(chain: _Chain, law: Synthesis, *, tolerances: bool = True) -> Veri
     """A controller over the identified intervals, at the rate and delay it runs with."""
     done: LoopIdentification = chain.made["identification"]
     timing = chain.timing
-    return verify_controller(
-        done.machine,
-        law,
-        tolerances=tolerances,
-        everywhere=True,
-        rate=timing.rate,
-        delay_samples=timing.delay_samples,
-        progress=chain.progress,
-    )
+
+    def judged(**measured: Any) -> Verification:
+        return verify_controller(
+            done.machine,
+            law,
+            tolerances=tolerances,
+            everywhere=True,
+            rate=timing.rate,
+            delay_samples=timing.delay_samples,
+            progress=chain.progress,
+            **measured,
+        )
+
+    chain.untold = ""
+    if chain.responses:
+        try:
+            axes, dt = done.machine.axes, timing.sample_time
+            for one in chain.responses:
+                lines_of(usable(one, axes, dt), axes)
+            return judged(measured=chain.responses, running=chain.running)
+        except InvalidInput as error:
+            chain.untold = str(error)
+    return judged()
+
+
+def _say_measured(chain: _Chain, name: str, title: str, verification: Verification) -> None:
+    """What the measured plant makes of a controller beside the model, where responses were given:
+    the step that follows is judged by it.
+    """
+    if not chain.responses:
+        return
+    if chain.untold:
+        words = f"judged by the identified model alone: {chain.untold}"
+        chain.say(name, title, None, words)
+        return
+    found = []
+    for checks in (item for item in verification.points if item.label.endswith(MEASURED)):
+        rows = [check for check in checks.checks if check.name.startswith("sensitivity.output.")]
+        if not checks.stable:
+            found.append(f"{checks.label}: unstable; {checks['stability.measured'].detail}")
+            continue
+        worst = max(rows, key=lambda check: check.value)
+        found.append(f"{checks.label}: {worst.name.rpartition('.')[2]} {worst.detail}")
+        found.append(checks.notes[0].rstrip("."))
+    chain.say(name, title, None, "; ".join(found))
 
 
 def _needed(chain: _Chain, anyway: bool) -> bool:
@@ -519,6 +582,7 @@ def _needed(chain: _Chain, anyway: bool) -> bool:
         # no need to look between them where it fails at the operating points
         before = _verified(chain, chain.running)
     chain.made["before"] = before
+    _say_measured(chain, "running measured", "The running controller as measured", before)
     title = "The running controller on the identified machine"
     words = figures(before)
     if before.passed and not anyway:
@@ -639,6 +703,7 @@ def _changed(chain: _Chain) -> None:
         # no need to look between them where it fails at the operating points
         after = _verified(chain, new)
     chain.made["after"] = after
+    _say_measured(chain, "new measured", "The new controller on the measured plant", after)
     title = "It holds over the identified intervals"
     words = f"every limit is met: {figures(after)}" if after.passed else misses(after)
     if not chain.say("proved", title, after.passed, words):
@@ -716,7 +781,7 @@ def _switched(chain: _Chain, new: Synthesis, machine: Machine) -> None:
     before: Verification = chain.made["before"]
     done: LoopIdentification = chain.made["identification"]
     title = "The change and the way back on the rig"
-    point = done.outputs[0].record.point
+    point = done.outputs[0].record.point if done.outputs else done.result.point
     held = _holds(machine, before, point)
     if held is not None:
         words = f"not tried: the running controller does not hold the identified machine {held}"
@@ -736,11 +801,12 @@ def _holds(machine: Machine, before: Verification, point: Any) -> str | None:
     """Where the running controller is unstable of the points that are like the record's; None:
     nowhere.
     """
-    own = [
-        checks
-        for checks, item in zip(before.points, machine.operation.envelope, strict=False)
+    labels = {
+        item.label
+        for item in machine.operation.envelope
         if (item.speed, item.seal_pressure) == (point.speed, point.seal_pressure)
-    ]
+    }
+    own = [checks for checks in before.points if checks.label.removesuffix(MEASURED) in labels]
     lost: list[Checks] = [checks for checks in own if not checks.stable]
     return f"at {lost[0].label}" if lost else None
 
