@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+import threading
 from collections import namedtuple
+from itertools import product
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numba import typeof
 from numba.core.caching import UserProvidedCacheLocator
 
+from ambrose import StateSpace, load_machine
+from ambrose.machine.description import OperatingPoint
+from ambrose.machine.ordinary_file import claimed
+from ambrose.rig.engine.controller import sampled_law
 from ambrose.rig.engine.kernel import entry_points
 from ambrose.rig.engine.products import compile_kept, is_kept, private_folder
 
@@ -45,3 +53,35 @@ def test_where_numba_has_no_place_a_private_folder_keeps_it(monkeypatch, tmp_pat
     with pytest.raises(PermissionError, match="alone"):
         private_folder()
     assert compile_kept((doubled,))[0].stats.cache_path is None
+
+
+def test_it_waits_for_a_process_that_compiles_the_same(monkeypatch, tmp_path):
+    """Workers of a new installation compiled the rig each, half a minute of all processors."""
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path))
+    compile_kept((doubled,))[0](2.0)
+    (kept,) = compile_kept((doubled,))  # which loads what is there, in milliseconds
+    found = []
+    with claimed(Path(kept.stats.cache_path, "compiled"), "lock of the other process"):
+        other = threading.Thread(target=lambda: found.append(kept(2.0)))
+        other.start()
+        other.join(1.5)
+        assert not found
+    other.join(60)
+    assert found == [4.0]
+
+
+def test_every_law_is_of_the_type_that_the_rig_is_compiled_for():
+    """A lock against writing is part of numba's types: the rig was compiled anew for each set of
+    matrices that came so.
+    """
+    pump = load_machine("turbomolecular-pump")
+    m, rng = len(pump.axes), np.random.default_rng(0)
+    sizes = ((6, 6), (6, m), (m, 6), (m, m))
+    types = set()
+    for order, dt in product("CF", (None, 1e-4)):
+        A, B, C, D = (np.array(1e-3 * rng.standard_normal(size), order=order) for size in sizes)
+        errors, currents = ([f"{kind}_{axis}" for axis in pump.axes] for kind in ("err", "u"))
+        law = StateSpace(A - np.eye(6) * (dt is None), B, C, D, errors, currents, dt)
+        for delay in (0, 1, 2):
+            types.add(typeof(sampled_law(law, pump, 1e-4, OperatingPoint(), delay)))
+    assert len(types) == 1

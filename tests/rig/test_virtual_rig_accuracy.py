@@ -144,6 +144,7 @@ def test_energy_without_damping_is_kept():
             rig.work(),
             log,
             errors,
+            None,
         )
         assert (
             done == 5000

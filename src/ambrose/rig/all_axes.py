@@ -23,7 +23,13 @@ from ambrose.law.loop import DEFAULT, Timing, timing_of
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.rig import axial_rig, virtual_rig
-from ambrose.rig.engine.controller import RunningProgram, SampledLaw, sample_time, sampled_law
+from ambrose.rig.engine.controller import (
+    RunningProgram,
+    SampledLaw,
+    of_one_type,
+    sample_time,
+    sampled_law,
+)
 from ambrose.rig.engine.equilibrium import fastest_pole, steps_per_sample, steps_within
 from ambrose.rig.engine.inputs import Drive, Plan, plan, stretch
 from ambrose.rig.engine.record import Recorder, classify_outcome, watch, within_bounds
@@ -230,7 +236,7 @@ def _joined(law: SampledLaw, axial: SampledLaw) -> SampledLaw:
         outputs = [f"{name}_out_{i}" for i in range(m)]
         systems.append(StateSpace(item.A, item.B, item.C, item.D, signals, outputs, 1.0))
     whole = append(*systems)
-    A, B, C, D = (np.ascontiguousarray(X, float) for X in (whole.A, whole.B, whole.C, whole.D))
+    A, B, C, D = of_one_type(whole.A, whole.B, whole.C, whole.D)
     return SampledLaw(A, B, C, D, np.concatenate([law.limit, axial.limit]), law.delay)
 
 

@@ -545,9 +545,9 @@ def run_plan(
     folder = make_folder(directory)
     with claimed(folder, "campaign"):
         begun = time.monotonic()
+        stored = keys_there(folder / ROWS)  # a file that is none is refused before a design
         progress("reading the plan's machines, controllers and scenarios")
         bases, fixed = bases_of(plan, progress), fixed_of(plan)
-        stored = keys_there(folder / ROWS)
         cases = list({case.key: case for case in plan.drawn()}.values())
         missing = sorted((case for case in cases if case.key not in stored), key=group_of)[:most]
         progress(f"{len(cases)} cases, {len(cases) - len(missing)} of them computed before")

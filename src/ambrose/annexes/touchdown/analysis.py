@@ -58,6 +58,7 @@ from ambrose.model.effects.rotor import STANDARD_GRAVITY
 from ambrose.model.effects.touchdown import Bearing
 from ambrose.model.static_load import magnet_coefficients, residual_unbalance
 from ambrose.record.record import Record
+from ambrose.rig.engine.controller import of_one_type
 
 # The state of a rotor at the moment of a trip, from a record of the rig or of a machine: a drop
 # then begins where the run left off.
@@ -268,7 +269,8 @@ def slow_first(
 ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], int]:
     """((A, B, C, D), how many): the same system with its slow poles apart and first."""
     if not len(system.A):
-        return (system.A, system.B, system.C, system.D), 0
+        a, b, c, d = of_one_type(system.A, system.B, system.C, system.D)
+        return (a, b, c, d), 0
     least = math.exp(-_SLOW * sample_time)
     T, Z, count = sla.schur(
         system.A, output="real", sort=lambda re, im=0.0: math.hypot(re, im) > least
@@ -280,8 +282,7 @@ def slow_first(
         turn[:count, count:] = X
         back[:count, count:] = -X
         T = sla.block_diag(T[:count, :count], T[count:, count:])
-    arrays = (T, back @ Z.T @ system.B, system.C @ Z @ turn, system.D)
-    a, b, c, d = (np.ascontiguousarray(item, dtype=float) for item in arrays)
+    a, b, c, d = of_one_type(T, back @ Z.T @ system.B, system.C @ Z @ turn, system.D)
     return (a, b, c, d), int(count)
 
 

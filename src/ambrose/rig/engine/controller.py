@@ -5,7 +5,7 @@ change to another one.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -210,10 +210,15 @@ def sampled_law(
     if delay > 1:  # the rig holds one sample back itself
         system = delayed(system, delay - 1)
     limits = [np.inf if b.max_current is None else b.max_current for b in machine.axis_bearings]
-    A, B, C, D = (
-        np.ascontiguousarray(X, dtype=float) for X in (system.A, system.B, system.C, system.D)
-    )
+    A, B, C, D = of_one_type(system.A, system.B, system.C, system.D)
     return SampledLaw(A, B, C, D, np.array(limits, dtype=float), min(delay, 1))
+
+
+def of_one_type(*arrays: np.ndarray) -> Iterator[np.ndarray]:
+    """Copies that may be written, row by row: an order in memory or a lock against writing would be
+    a type of its own, for which numba compiles the whole rig once more, for half a minute.
+    """
+    return (np.array(X, dtype=float, order="C") for X in arrays)
 
 
 def take_over(law: SampledLaw, errors: np.ndarray, outputs: np.ndarray) -> np.ndarray:

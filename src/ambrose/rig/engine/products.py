@@ -15,8 +15,9 @@ import os
 import shutil
 import stat
 import tempfile
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,8 @@ from numba import njit, types
 from numba.core import config
 from numba.extending import intrinsic
 
+from ambrose.core.checks import InvalidInput
+from ambrose.machine.ordinary_file import claimed
 from ambrose.model.effects import amplifier, magnet, seal, seal_rational, sensor, touchdown
 from ambrose.model.effects import stations as unbalance
 
@@ -40,6 +43,8 @@ from ambrose.model.effects import stations as unbalance
 
 
 _ROOM = 16 << 20  # bytes free where compiled code is kept, or it is compiled anew in every run
+_POLL, _PATIENCE = 0.1, 3000  # [s] between two looks at a lock, and how many of them
+_HELD = "another process compiles it"
 
 
 def compile_kept(functions: tuple[Callable[..., Any], ...], **options: Any) -> tuple[Any, ...]:
@@ -48,8 +53,31 @@ def compile_kept(functions: tuple[Callable[..., Any], ...], **options: Any) -> t
         with suppress(RuntimeError, OSError), _kept_in(place):  # no folder to write to
             kept = tuple(njit(cache=True, **options)(function) for function in functions)
             if shutil.disk_usage(kept[0].stats.cache_path).free > _ROOM:
+                for function in kept:
+                    function.compile = _one_at_a_time(function)
                 return kept
     return tuple(njit(**options)(function) for function in functions)
+
+
+def _one_at_a_time(function: Any) -> Callable[[Any], Any]:
+    """``function.compile`` for one process at a time: the next one finds it kept. Of what several
+    that began together wrote into one index, only the last was left.
+    """
+    compile_it, place = function.compile, Path(function.stats.cache_path, "compiled")
+
+    def compile_alone(signature: Any) -> Any:
+        with ExitStack() as stack:
+            for _ in range(_PATIENCE):
+                try:
+                    stack.enter_context(claimed(place, "compiled rig", _HELD))
+                    break
+                except InvalidInput as error:
+                    if str(error) != _HELD:  # no place for a lock
+                        break
+                    time.sleep(_POLL)
+            return compile_it(signature)
+
+    return compile_alone
 
 
 def is_kept(function: Any) -> bool:
