@@ -42,7 +42,7 @@ _GUARD = 0.3  # assumed: of the rotor's modal damping, for modes above the top s
 DAMPING_GUARD = "damping_above"  # the ratio of that guard
 SENSITIVITY_GUARD = "sensitivity_low"  # and of the one towards zero frequency,
 FALLS = 0.99  # which stands where the limit is below this share of that of the sensitivity
-_MARGIN = 1.05  # of the log decrement, which is judged on the full plant
+MARGIN = 1.05  # of dampings, which are judged on the full plant, and by its peaks
 _ROLLED = 8.0  # the grid reaches this many times past the roll-off
 _BEYOND = 2.4  # the grid reaches this many times past the range of ISO 14839-3
 
@@ -143,7 +143,7 @@ def aims_of(machine: Machine, start: StateSpace) -> Aims:
     decrement = demand("log decrement", wanted).limit or 0.0
 
     # zeta = decrement / sqrt(4 pi^2 + decrement^2)
-    damping = _MARGIN * decrement / np.hypot(2 * np.pi, decrement)
+    damping = MARGIN * decrement / np.hypot(2 * np.pi, decrement)
     bearings = machine.axis_bearings
     allowed = [wanted.max_current or b.max_current for b in bearings]
     coil = machine.amplifier

@@ -28,6 +28,7 @@ from ambrose.synthesis.fixed_order.bank import FilterBank
 from ambrose.synthesis.fixed_order.channels import (
     DAMPING_GUARD,
     FALLS,
+    MARGIN,
     S_O,
     SENSITIVITY_GUARD,
     SETTLING_POWER,
@@ -568,7 +569,8 @@ class Objective:
             timing = self.models[0].timing
 
             # in true frequency: d unwarped / d size = 1 / (1 + (size T / 2)^2)
-            more, slope = needed_damping(unwarped(size, timing), aims.running)
+            asked = needed_damping(unwarped(size, timing), aims.running)
+            more, slope = (MARGIN * part for part in asked)
             slope = slope if timing is None else slope / (1 + (size * timing.sample_time / 2) ** 2)
             here = np.array([runs_within(self.models[i].speed, aims.running) for i in places])[
                 :, None
