@@ -76,6 +76,10 @@ def test_all_five_axes_are_judged_as_each_is_alone(folder):
     assert both.passed == (alone.passed and thrust.passed)
     assert alone.not_judged == ("thrust axis",) and both.not_judged == thrust.not_judged == ()
     assert "radial axes" in deciding_verdict(alone) and "thrust axis" in unchecked(alone)[0]
+    assert (
+        f"thrust axis ({len(thrust.points)} states), {len(alone.points)} oper"
+        in deciding_verdict(both)
+    )
     lost = replace(axial, controller=replace(axial.controller, C=-axial.controller.C))
     assert not amb.verify(whole, radial, axial=lost, **options).passed
     with pytest.raises(InvalidInput, match="no thrust bearing; leave it out"):

@@ -341,6 +341,9 @@ CONTINUOUS = "continuous: no sample rate is known"
 WITH_MEAN_DELAY = "of the continuous loop with the mean delay of the sampled one"
 
 
+THRUST = "thrust: "  # a label of the thrust axis beside those of the radial axes
+
+
 def box_label(point: str) -> str:
     """The label of the checks over the tolerances around an operating point."""
     return f"{OVER_TOLERANCES} around {point}"
@@ -445,13 +448,13 @@ class Verification(Presented):
         return {name: check for name, (_, check) in worst.items()}
 
     def with_thrust(self, thrust: Verification) -> Verification:
-        """All five axes: of the axis along the shaft the labels begin with "thrust: "."""
+        """All five axes: of the axis along the shaft the labels begin with ``THRUST``."""
 
         def named(several: tuple[Checks, ...]) -> tuple[Checks, ...]:
             around = f"{OVER_TOLERANCES} around "
             starts = (around if checks.label.startswith(around) else "" for checks in several)
             return tuple(
-                replace(checks, label=f"{start}thrust: {checks.label.removeprefix(start)}")
+                replace(checks, label=f"{start}{THRUST}{checks.label.removeprefix(start)}")
                 for checks, start in zip(several, starts, strict=True)
             )
 
@@ -463,8 +466,8 @@ class Verification(Presented):
             points=(*self.points, *named(thrust.points)),
             boxes=(*self.boxes, *named(thrust.boxes)),
             ranges=(*self.ranges, *named(thrust.ranges)),
-            left_out=(*self.left_out, *(f"thrust: {label}" for label in thrust.left_out)),
-            not_varied=(*self.not_varied, *(f"thrust: {words}" for words in thrust.not_varied)),
+            left_out=(*self.left_out, *(f"{THRUST}{label}" for label in thrust.left_out)),
+            not_varied=(*self.not_varied, *(f"{THRUST}{words}" for words in thrust.not_varied)),
             timing=timing,
             controller=f"{self.controller}; thrust axis: {thrust.controller}",
             not_judged=(),

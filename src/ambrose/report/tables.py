@@ -8,7 +8,15 @@ from collections.abc import Sequence
 from typing import Any
 
 from ambrose.identification.findings import ERROR, Finding
-from ambrose.judge.checks import CONTINUOUS, OVER_TOLERANCES, Check, Checks, Verification, box_label
+from ambrose.judge.checks import (
+    CONTINUOUS,
+    OVER_TOLERANCES,
+    THRUST,
+    Check,
+    Checks,
+    Verification,
+    box_label,
+)
 from ambrose.law.loop import timing_in_words
 from ambrose.machine.attachment import attached
 from ambrose.machine.description import OperatingPoint
@@ -444,11 +452,14 @@ def deciding_verdict(verification: Verification) -> str:
         if check.passed is not None
     ]
     failed = [check for check in judged if not check.passed]
-    points, boxes = len(verification.points), len(verification.boxes)
+    thrust = sum(checks.label.startswith(THRUST) for checks in verification.points)
+    points, boxes = len(verification.points) - thrust, len(verification.boxes)
     scope = "radial axes, " if verification.not_judged else ""
+    scope += f"radial axes and thrust axis ({thrust} states), " if thrust else ""
     scope += f"{points} operating point{'s' * (points != 1)}"
     scope += f", {verification.between}" if verification.between else ""
-    scope += f", tolerances at {boxes} of them" if boxes else ""
+    them = " of these" if thrust else " of them"
+    scope += f", tolerances at {boxes}{them}" if boxes else ""
     ranges = len(verification.ranges)
     scope += f", {ranges} range{'s' * (ranges > 1)}" if ranges else ""
     loop = "continuous loop"
@@ -459,7 +470,7 @@ def deciding_verdict(verification: Verification) -> str:
         words = f"PASSED: {scope}, {loop}."
     elif failed:
         unstable = [_short(label) for label, checks in verification.labelled if not checks.holds]
-        if len(unstable) == points > 1 and not boxes:
+        if len(unstable) == points > 1 and not boxes and not thrust:
             unstable = [f"all {points} operating points"]
         words = (
             f"FAILED: {len(failed)} of {len(judged)} requirements are not met ({scope}, {loop})."
