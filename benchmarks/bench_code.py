@@ -23,7 +23,7 @@ import numpy as np
 from ambrose import design as tuned
 from ambrose import load_machine
 from ambrose.code.block.block import ControlBlock, build_block
-from ambrose.code.block.fixed_point import to_fixed_point
+from ambrose.code.block.fixed_point import in_words
 from ambrose.code.block.scheduled import build_scheduled_block, supervise
 from ambrose.code.c.code import Arithmetic, generate
 from ambrose.code.c.compiled import CompiledBlock, read_law
@@ -349,7 +349,7 @@ def _precision(block: ControlBlock, samples: int) -> dict[str, Any]:
     current limit.
     """
     rng = np.random.default_rng(0)
-    fixed = to_fixed_point(block)
+    fixed = in_words(block)
     one = 1 << fixed.signal_bits
     whole = np.round(rng.uniform(-1, 1, (samples, 4)) * 0.02 * one).astype(np.int64)
     e = (whole / one * block.error_limit).astype(np.float32).astype(float)

@@ -51,7 +51,7 @@ def option(default: Any, meaning: str, **known: Any) -> Any:
     return field(default=default, metadata={"option": Option(meaning=meaning, **known)})
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Options:
     """A class whose fields are options: each value is checked as it is made.
 

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 
 import ambrose as amb
 from ambrose.cli import main
-from ambrose.code.block.run import run_block
+from ambrose.code.block.run import run_of
 from ambrose.code.c.compiled import find_compiler
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.controller_file import write_controller
@@ -87,7 +87,7 @@ def test_one_step_is_both_twins(tmp_path):
             axes, *(ctypes.c_void_p(row.ctypes.data) for row in (errors[k], valid[k], currents[k]))
         )
     for block, part in ((radial, slice(0, n - 1)), (axial, slice(n - 1, n))):
-        twin = run_block(block, errors[:, part], valid[:, part].astype(bool)).currents
+        twin = run_of(block, errors[:, part], valid=valid[:, part].astype(bool)).currents
         assert np.abs(currents[:, part] - twin).max() <= 1e-12 * np.abs(twin).max()
 
 

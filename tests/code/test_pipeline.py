@@ -21,6 +21,7 @@ from ambrose.code.targets import C, St
 from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.judge.controller_file import read_controller, write_controller
 from ambrose.model.assemble import assemble
+from ambrose.options import Options
 from ambrose.synthesis.design import design
 from coarse import coarse
 from example_blocks import small_controller
@@ -349,3 +350,18 @@ def test_what_is_no_controller_of_the_machine(rig, tmp_path, controller, message
 def test_options_that_mean_nothing(settings, message):
     with pytest.raises(InvalidInput, match=message):
         C(**settings)
+
+
+def test_two_ways_of_writing_are_equal_only_where_they_are_one():
+    """Every class of options: what says eq=False compares by identity, never by no field at all."""
+    every, waiting = [], [Options]
+    while waiting:
+        kind = waiting.pop()
+        every.append(kind)
+        waiting += kind.__subclasses__()
+    assert C in every and len(every) > 10
+    one, other = C(rate=1e3), C(rate=2e3)
+    assert one != other and len({one, other}) == 2
+    for kind in every:
+        compares = next(one for one in kind.__mro__ if "__eq__" in vars(one))
+        assert compares in (object, kind), kind  # not by the fields of a class below it

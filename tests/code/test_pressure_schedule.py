@@ -18,9 +18,7 @@ from ambrose.code.block.run import (
     CLAMPED,
     FAULT,
     TOLD,
-    run_scheduled,
-    scheduled_cost,
-    step_cost,
+    run_of,
 )
 from ambrose.code.block.scheduled import build_scheduled_block
 from ambrose.code.c.compiled import CompiledSchedule
@@ -92,10 +90,7 @@ def test_what_changes_with_a_seal_is_few_signals(machine, made, deployment):
         deploy(made.controller, DT, DT, force=True), "rig", *machine_limits(machine)
     )
     assert block.changes.ranks == (4, 4) and block.n_states == 24
-    ratio = (
-        scheduled_cost(block, "double").multiplications
-        / step_cost(frozen, "double").multiplications
-    )
+    ratio = block.cost("double").multiplications / frozen.cost("double").multiplications
     assert ratio < 2.1  # 1.94
 
 
@@ -250,7 +245,7 @@ def test_the_code_on_the_rig_is_the_twin_in_python(machine, deployment, name):
     if sensors and sensors[0].fault == "lost":
         told[round(sensors[0].time / DT) :] = np.nan
     e = -np.column_stack([record[f"y_{axis}"] for axis in machine.axes])
-    twin = run_scheduled(block, e, told)
+    twin = run_of(block, e, told)
     acts = np.column_stack([record[f"u_{axis}"] for axis in machine.axes])
     assert np.abs(acts[1:] - twin.currents[:-1]).max() < 1e-11 * np.abs(acts).max()
     assert not bit or (twin.status & bit == bit).any()

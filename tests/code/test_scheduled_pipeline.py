@@ -16,7 +16,7 @@ import code_driver as driver
 from ambrose import StateSpace, load_machine
 from ambrose.cli import main
 from ambrose.code import sampled as scheduled_deploy
-from ambrose.code.block.run import run_scheduled
+from ambrose.code.block.run import run_of
 from ambrose.code.block.scheduled import build_scheduled_block
 from ambrose.code.c.code import write_code
 from ambrose.code.c.compiled import CompiledSchedule, read_law
@@ -293,7 +293,7 @@ def test_the_running_code_follows_the_block():
     e = np.random.default_rng(3).normal(0, 3e-4, (500, 2))
     v = np.linspace(0.0, 700.0, 500)
     v[100:150] = np.nan
-    expected = run_scheduled(block, e, v)
+    expected = run_of(block, e, v)
     assert np.abs(code.run(e, v) - expected.currents).max() <= 1e-12 * block.current_limit.max()
     np.testing.assert_allclose(code.states(), expected.states, rtol=1e-9, atol=1e-15)
     assert code.status == expected.status[-1]

@@ -16,8 +16,8 @@ from ambrose.code.block.run import (
     HELD,
     LIMITED,
     TOLD,
-    make_scheduled_vectors,
-    run_scheduled,
+    run_of,
+    vectors_of,
 )
 from ambrose.code.sampled import deploy
 from ambrose.code.structured_text import generate_structured_text
@@ -70,7 +70,7 @@ def test_agrees_with_the_block_in_python(make, rate):
     frozen = build_block(deploy(block.at(block.grid[1]), DT, DT, force=True), "k", ERROR, CURRENT)
     e, valid = driver.adversarial(frozen, 2000)
     told = adversarial_speeds(block, 2000)
-    expected = run_scheduled(block, e, told, valid)
+    expected = run_of(block, e, told, valid)
     found, status = play(block, e, told, valid)
     assert np.abs(found - expected.currents).max() <= 1e-12 * CURRENT
     assert (status == expected.status).all()
@@ -84,7 +84,7 @@ def test_the_vectors_without_a_value_are_those_of_an_implausible_one():
     the same answers.
     """
     block = block_of(small_schedule(), rate_limit=5e4)
-    run = make_scheduled_vectors(block)
+    run = vectors_of(block)
     assert np.isnan(run.told).sum() > 10
     told = np.nan_to_num(run.told, nan=2 * block.told_limit)
     found, status = play(block, run.errors, told, run.valid)

@@ -11,7 +11,7 @@ import pytest
 import code_driver as driver
 import st_compiled
 from ambrose import StateSpace
-from ambrose.code.block.run import FAULT, HELD, LIMITED, run_block
+from ambrose.code.block.run import FAULT, HELD, LIMITED, run_of
 from ambrose.code.structured_text import generate_structured_text, literal
 from ambrose.core.checks import InvalidInput
 from example_blocks import CURRENT, gain_block, rig_block, small_block, small_controller
@@ -49,7 +49,7 @@ def play(fb, block, e, valid):
 def test_agrees_with_the_block_in_python(parsed_block):
     block = direct_block()
     e, valid = driver.adversarial(block, 10_000)
-    expected = run_block(block, e, valid)
+    expected = run_of(block, e, valid=valid)
     found, status = play(FunctionBlock(parsed_block), block, e, valid)
     assert np.abs(found - expected.currents).max() <= 1e-12 * block.current_limit.max()
     assert (status == expected.status).all()
@@ -75,7 +75,7 @@ def test_a_gain_without_states():
     fb = FunctionBlock(parsed(generate_structured_text(block)["gain.st"]))
     e = np.array([[1e-4, -2e-4], [2e-4, 9e-4], [5e-4, 3.0]])
     found, status = play(fb, block, e, np.ones((3, 2), bool))
-    expected = run_block(block, e)
+    expected = run_of(block, e)
     assert np.array_equal(found, expected.currents)
     assert status.tolist() == expected.status.tolist() == [0, LIMITED, HELD | LIMITED]
 
@@ -88,7 +88,7 @@ def test_compiled_by_matiec(make, tmp_path):
         generate_structured_text(block, provenance=["from (* here *) *)"]), block.name, tmp_path
     )
     e, valid = driver.adversarial(block, 100_000)
-    expected = run_block(block, e, valid)
+    expected = run_of(block, e, valid=valid)
     found, status = st_compiled.replay(block, tmp_path, e, valid)
     assert np.abs(found - expected.currents).max() <= 1e-12 * block.current_limit.max()
     assert (status == expected.status).all()
@@ -100,7 +100,7 @@ def test_compiled_by_matiec(make, tmp_path):
 def test_compiled_by_strucpp(make, tmp_path):
     block = make()
     e, valid = driver.adversarial(block, 100_000)
-    expected = run_block(block, e, valid)
+    expected = run_of(block, e, valid=valid)
     found, status, selftest = st_compiled.replay_strucpp(
         generate_structured_text(block), block, tmp_path, e, valid
     )
@@ -119,7 +119,7 @@ def test_single_precision_compiled_by_matiec(tmp_path):
         .astype(np.float32)
         .astype(float)
     )
-    expected = run_block(block, e)
+    expected = run_of(block, e)
     found, status = st_compiled.replay(block, tmp_path, e, np.ones(e.shape, bool), "float")
     assert np.abs(found - expected.currents).max() <= 1e-4 * CURRENT
     assert (status == expected.status).all()

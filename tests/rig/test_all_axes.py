@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 import ambrose as amb
 from ambrose.code.all_axes import CompiledAxes
-from ambrose.code.block.run import run_block
+from ambrose.code.block.run import run_of
 from ambrose.core.checks import InvalidInput
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
 from ambrose.report.record import record_page
@@ -96,7 +96,7 @@ def test_one_c_function_holds_all_axes(tmp_path):
     assert z[time > 3.6].max() < -0.25e-3  # on the stop to which the thrust pulls
     for block, axes in ((done.block, machine().axes), (done.axial.block, ("T_z",))):
         errors = -np.column_stack([record[f"y_{axis}"] for axis in axes])
-        twin = run_block(block, errors).currents
+        twin = run_of(block, errors).currents
         acted = np.column_stack([record[f"u_{axis}"] for axis in axes])
         assert np.abs(acted[1:] - twin[:-1]).max() <= 1e-12 * np.abs(twin).max()
     steady = replace(LIFT, speed_changes=(), speed=200.0)

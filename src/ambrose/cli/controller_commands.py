@@ -595,7 +595,7 @@ def map_command(
     """
     from ambrose.judge.exploration import explore
     from ambrose.law.loop import timing_in_words
-    from ambrose.report import theme as units
+    from ambrose.report import theme
     from ambrose.report.verification import exploration_page
 
     description = load(machine)
@@ -614,14 +614,14 @@ def map_command(
             rows.append(
                 (
                     f"largest real part over {item.over}",
-                    units.quantity(float(item.abscissa.max()), "1/s"),
+                    theme.quantity(float(item.abscissa.max()), "1/s"),
                 )
             )
         if exploration.pulses is not None and exploration.pulses.stable.all():
             rows.append(
                 (
                     "settled after a pulse, worst member",
-                    units.quantity(float(exploration.pulses.settling().max()), "s"),
+                    theme.quantity(float(exploration.pulses.settling().max()), "s"),
                 )
             )
         if exploration.unbalance is not None:
@@ -632,7 +632,7 @@ def map_command(
             rows.append(
                 (
                     "worst orbit found, 0-p",
-                    f"{units.quantity(worst, 'm')} at {at * units.RPM:.4g} rpm",
+                    f"{theme.quantity(worst, 'm')} at {at * theme.RPM:.4g} rpm",
                 )
             )
         title = f"{description.name}, {exploration.point.label or 'its design point'}"

@@ -11,7 +11,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from ambrose.code.block.block import Block, ControlBlock
-from ambrose.code.block.run import padding_of
 from ambrose.law.synchronous_block import SynchronousLaw
 
 # C's name of a number, and numpy's
@@ -124,7 +123,7 @@ def interface_of(law: Law, arithmetic: str) -> Interface:
         unit, path = f"{name}_axes", f"radial.{path}"
     for part, before in zip(parts, (path, "axial."), strict=False):
         if part.n_states:
-            low = padding_of(part)[0]
+            low = part.padding[0]
             places[f"states of {part.name}"] = (f"{before}state[{low}]", stored, part.n_states)
     m, p = (sum(len(getattr(part, side)) for part in parts) for side in ("inputs", "outputs"))
     around = beside is not None

@@ -17,7 +17,7 @@ from typing import Any, cast
 import numpy as np
 
 from ambrose.code.block.block import ControlBlock, as_comment, render
-from ambrose.code.block.run import Vectors, as_csv, make_scheduled_vectors, make_vectors
+from ambrose.code.block.run import Vectors, as_csv, vectors_of
 from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.c.code import block_facts
 from ambrose.code.sampled import Deployment, ScheduledDeployment
@@ -60,13 +60,13 @@ def generate_mat(
         )
     if isinstance(block, ScheduledBlock) or isinstance(deployment, ScheduledDeployment):
         given = cast(ScheduledBlock, block), cast(ScheduledDeployment, deployment)
-        over = make_scheduled_vectors(given[0])
+        over = vectors_of(given[0])
         struct = scheduled_content(*given, synthesis, provenance, over)
         return {
             f"{block.name}.mat": _bytes({block.name: struct}),
             f"{block.name}_vectors.csv": as_csv(block, over),
         }
-    run = make_vectors(block)
+    run = vectors_of(block)
     continuous, comments = deployment.source.dt is None, [as_comment(line) for line in provenance]
     facts = {**block_facts(block), "provenance": comments, "continuous": continuous}
     return {

@@ -22,9 +22,9 @@ import numpy as np
 
 from ambrose.code.all_axes import AnyLaw, law_files
 from ambrose.code.block.block import ControlBlock, render
-from ambrose.code.block.run import padding_of
+from ambrose.code.block.fixed_point import in_words
 from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock
-from ambrose.code.c.code import Arithmetic, in_words, integer_table, literal, real_table
+from ambrose.code.c.code import Arithmetic, integer_table, literal, real_table
 from ambrose.code.interface import KINDS, TYPES, Interface, interface_of
 from ambrose.core.checks import InvalidInput, invalid
 
@@ -308,7 +308,7 @@ class Unit:
             "ni": len(base.inputs),
             "no": len(base.outputs),
             "states": base.n_states,
-            "low": padding_of(base)[0],
+            "low": base.padding[0],
             "init": f"{face.name}_init",
             "step": f"{self.step}(&running{names})",
         }

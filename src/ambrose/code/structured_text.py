@@ -23,11 +23,7 @@ from ambrose.code.block.run import (
     FLOOR,
     Vectors,
     as_csv,
-    increment_of,
-    make_scheduled_vectors,
-    make_vectors,
-    scheduled_cost,
-    step_cost,
+    vectors_of,
 )
 from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock
 from ambrose.code.c.code import (
@@ -75,6 +71,10 @@ on_state on_current core steady pick speeds pressures
 """
 
 
+_SPELLED = {"B": "from_error", "C": "to_current", "D": "direct"}
+_TRANSFER = ("transfer_error", "transfer_current", "steady", "pick")
+
+
 @dataclass(frozen=True, slots=True)
 class Table:
     """A constant array: its name, bounds as text, element type and initial values as text."""
@@ -102,12 +102,7 @@ def generate_structured_text(
     if precision == "float":
         block = block.single()
     check_names(block)
-    single = precision == "float"
-    run = (
-        make_scheduled_vectors(block, single)
-        if isinstance(block, ScheduledBlock)
-        else make_vectors(block, single=single)
-    )
+    run = vectors_of(block, precision == "float")
     facts = text_facts(block, precision, provenance)
     return {
         f"{block.name}.st": render("block.st.j2", {**facts, "tables": _tables(block, precision)}),
@@ -156,8 +151,7 @@ def check_names(block: ControlBlock | ScheduledBlock, more: frozenset[str] = fro
 
 
 def _diagonals(block: ControlBlock | ScheduledBlock) -> list[dict[str, Any]]:
-    increment = increment_of(block)
-    return diagonals(increment, increment)
+    return diagonals(block.fixed_increment, block.fixed_increment)
 
 
 def text_facts(
@@ -170,16 +164,16 @@ def text_facts(
         "diagonals": _diagonals(block),
         "provenance": [_comment(line) for line in provenance] or ["provenance: not given"],
         "floor": literal(FLOOR["float"], "float"),
-        "scheduled": isinstance(block, ScheduledBlock),
+        "scheduled": bool(block.told),
+        "winding": block.winding,
+        "cost": block.cost(precision),
     }
     if not isinstance(block, ScheduledBlock):
-        return {**facts, "winding": block.winding, "cost": step_cost(block, precision)}
+        return facts
     (low, high), along = block.range, block.along
     step = literal(block.told_step, precision) if np.isfinite(block.told_step) else ""
     return {
         **facts,
-        "winding": block.n_states,
-        "cost": scheduled_cost(block, precision),
         "direct": True,
         "parameter": along.name,
         "unit": along.unit,
@@ -194,53 +188,16 @@ def text_facts(
     }
 
 
-def _scheduled_tables(block: ScheduledBlock) -> dict[str, np.ndarray]:
-    n, changes = block.n_states, block.changes
-    arrays = {"grid": block.grid, "direct": changes.fixed[n:, n:].T}
-    if n:
-        arrays |= {"from_error": changes.fixed[:n, n:].T, "to_current": changes.fixed[n:, :n].T}
-        arrays["unwind"] = block.unwind.transpose(0, 2, 1)
-    if changes.ranks[0]:
-        arrays |= {
-            "of_error": changes.right[:, n:].T,
-            "core": changes.core.transpose(0, 2, 1),
-            "on_current": changes.left[n:].T,
-        }
-    if changes.ranks[0] and n:
-        arrays |= {"of_state": changes.right[:, :n].T, "on_state": changes.left[:n].T}
-    if block.transfers:
-        arrays |= {"steady": block.steady.transpose(0, 2, 1), "pick": block.pick.transpose(0, 2, 1)}
-    return arrays
-
-
 def _tables(block: ControlBlock | ScheduledBlock, precision: Precision) -> list[Table]:
-    arrays = {"error_limit": block.error_limit, "current_limit": block.current_limit}
-    arrays |= {d["name"]: d["entries"] for d in _diagonals(block)}
-    arrays |= (
-        _scheduled_tables(block) if isinstance(block, ScheduledBlock) else _fixed_tables(block)
-    )
-    return [
-        Table(
-            name,
-            ", ".join(f"0..{count - 1}" for count in x.shape),
-            _TYPES[precision],
-            values(x, precision),
-        )
-        for name, x in arrays.items()
-    ]
-
-
-def _fixed_tables(block: ControlBlock) -> dict[str, np.ndarray]:
-    arrays: dict[str, np.ndarray] = {}
-    if block.n_states:
-        arrays |= {"from_error": block.B.T, "to_current": block.C.T}
-    if block.D.any():
-        arrays["direct"] = block.D.T
-    if block.winding:
-        arrays["unwind"] = block.unwind[: block.winding].T
-    if block.transfers:
-        arrays |= {"transfer_error": block.from_error.T, "transfer_current": block.from_output.T}
-    return arrays
+    arrays = block.tables()
+    limits = {name: arrays.pop(name) for name in ("error_limit", "current_limit")}
+    limits |= {d["name"]: d["entries"] for d in _diagonals(block)}
+    if not block.transfers:
+        arrays = {name: x for name, x in arrays.items() if name not in _TRANSFER}
+    if not (block.told or block.D.any()):
+        del arrays["D"]
+    arrays = {_SPELLED.get(name, name): x for name, x in arrays.items() if x.size}
+    return [_table(name, x, precision) for name, x in (limits | arrays).items()]
 
 
 def _test(
@@ -442,8 +399,7 @@ def _block(at: int, block: BlockLaw, dt: float, precision: Precision) -> dict[st
 
 def _table(name: str, x: np.ndarray, precision: Precision) -> Table:
     bounds = ", ".join(f"0..{size - 1}" for size in x.shape)
-    kind = {"double": "LREAL", "float": "REAL"}[precision]
-    return Table(name, bounds, kind, values(x, precision))
+    return Table(name, bounds, _TYPES[precision], values(x, precision))
 
 
 def _run_test(unit: RunUnit, precision: Precision) -> dict[str, Any]:

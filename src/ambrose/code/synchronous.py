@@ -17,39 +17,22 @@ released.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.code.block.block import ControlBlock
-from ambrose.code.block.cascade import FixedCascade
-from ambrose.code.block.fixed_point import FixedBlock
-from ambrose.code.block.run import (
-    LIMITED,
-    STATE_AT,
-    CascadeSteps,
-    FixedSteps,
-    ScheduledSteps,
-    WordSteps,
-    follow_told,
-    hold_last,
-    supervised_bits,
-    usable_errors,
-    usable_words,
-)
-from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock, supervised_twin
+from ambrose.code.block.block import LIMITED, ControlBlock
+from ambrose.code.block.fixed_point import Words
+from ambrose.code.block.run import hold_last, steps_of, told_of, usable
+from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.block.synchronous_twin import (
     SIGNAL,
     SynchronousTwin,
     SynchronousWords,
-    limited,
-    shifted,
     to_words,
 )
 from ambrose.core.checks import invalid
-from ambrose.law.supervision import State
 from ambrose.law.synchronous_block import SynchronousBlock, SynchronousLaw
 
 # The run-up of the self-test of a controller with synchronous blocks: alike in C and in structured
@@ -180,39 +163,49 @@ def run_unit(
     valid: ArrayLike | None = None,
     contact: ArrayLike | None = None,
     enabled: ArrayLike | None = None,
+    fixed: Words | None = None,
 ) -> UnitRun:
-    """Double precision, over a record. pulses (k,) [s]: as ``law.synchronous_block.key_phasor``;
-    errors (k, m) [m], valid (k, m); told: as the block's ``run_scheduled`` or ``run_supervised``;
-    contact, enabled (k,): of the machine, and the switch. Raises InvalidInput.
+    """Over a record, in double precision, or bit by bit in the words ``fixed`` of the unit's
+    controller: currents and c in counts then, amplitudes in metres.
+
+    pulses (k,) [s]: as ``law.synchronous_block.key_phasor`` (in counts: as ``SynchronousTwin.step``
+    has them); errors (k, m) [m], valid (k, m), told: as ``run_of``; contact, enabled (k,):
+    of the machine, and the switch. Raises InvalidInput.
     """
-    base, blocks = unit.base, SynchronousBlock(unit.law)
-    e, good = usable_errors(base, errors, valid)
+    law: ControlBlock | ScheduledBlock | Words = unit.base
+    blocks: SynchronousBlock | SynchronousTwin = SynchronousBlock(unit.law)
+    touch: np.ndarray = unit.contact
+    if fixed is not None:
+        law, touch = fixed, contact_counts(unit, fixed.edge)
+        blocks = SynchronousTwin(words_of(unit), SIGNAL - fixed.signal_bits)
+    e, good = usable(law, errors, valid)
     count, n = e.shape
     marks = np.zeros(count, bool) if contact is None else np.asarray(contact, bool)
     on = np.ones(count, bool) if enabled is None else np.asarray(enabled, bool)
-    step, status = _stepping(base, told, hold_last(e, good, base.hold_samples)[1])
-    currents, c = np.zeros((count, n)), np.zeros((count, n))
+    steps = steps_of(law, told_of(unit.base, told, count))
+    status = hold_last(e, good, unit.base.hold_samples)[1] | steps.known
+    currents, c = np.zeros((count, n), law.number), np.zeros((count, n), law.number)
     faults, states = np.zeros(count, int), np.zeros((count, len(unit.law.blocks)), int)
     amplitudes = np.zeros((count, len(unit.law.blocks), n), complex)
-    seen, last = np.zeros(n), np.zeros(n)
+    seen, last = np.zeros(n, law.number), np.zeros(n, law.number)
     now = 0
-    for k, pulse in enumerate(np.asarray(pulses, float).tolist()):
-        usable = good[k]
-        read = np.where(usable, e[k], 0.0)
+    for k, pulse in enumerate(np.asarray(pulses, law.number).tolist()):
+        usable_now = good[k]
+        read = np.where(usable_now, e[k], 0)
         c[k] = blocks.step(
             pulse,
             read,
             last,
-            bool(marks[k] or (np.abs(read) > unit.contact).any()),
+            bool(marks[k] or (np.abs(read) > touch).any()),
             bool(now & LIMITED),
-            bool(on[k]) and _in_charge(base, now),
-            not usable.all(),
+            bool(on[k]) and unit.base.in_charge(now),
+            not usable_now.all(),
         )
         # e + c within what the controller takes for plausible; a lost reading stays the last one
-        given = np.minimum(np.maximum(read + c[k], -base.error_limit), base.error_limit)
-        seen = np.where(usable, given, seen)
-        last, added = step(k, seen)
-        status[k] |= added
+        given = np.minimum(np.maximum(read + c[k], -law.edge), law.edge)
+        seen = np.where(usable_now, given, seen)
+        last = steps.step(seen)
+        status[k] |= steps.bits
         now = int(status[k])
         currents[k] = last
         faults[k] = int(np.bitwise_or.reduce([int(run.fault) for run in blocks.running]))
@@ -224,57 +217,6 @@ def run_unit(
 def words_of(unit: RunUnit) -> SynchronousWords:
     """The unit's blocks in whole numbers. Raises InvalidInput."""
     return to_words(unit.law, unit.base.error_limit, unit.base.current_limit)
-
-
-def run_unit_words(
-    unit: RunUnit,
-    fixed: FixedBlock | FixedCascade,
-    pulses: ArrayLike,
-    errors: ArrayLike,
-    valid: ArrayLike | None = None,
-    contact: ArrayLike | None = None,
-    enabled: ArrayLike | None = None,
-) -> UnitRun:
-    """In whole numbers, bit by bit, over a record: currents and c in counts, amplitudes in metres.
-
-    fixed: the unit's controller in words; pulses (k,): as ``SynchronousTwin.step`` in counts of the
-    word, errors (k, m) likewise; the rest as ``run_unit``. Raises InvalidInput.
-    """
-    e, good = usable_words(fixed, errors, valid)
-    count, n = e.shape
-    marks = np.zeros(count, bool) if contact is None else np.asarray(contact, bool)
-    on = np.ones(count, bool) if enabled is None else np.asarray(enabled, bool)
-    steps = CascadeSteps(fixed) if isinstance(fixed, FixedCascade) else WordSteps(fixed)
-    twin, status = SynchronousTwin(words_of(unit)), hold_last(e, good, fixed.block.hold_samples)[1]
-    one, up = 1 << fixed.signal_bits, SIGNAL - fixed.signal_bits
-    touch = contact_counts(unit, one)
-    currents, c = np.zeros((count, n), np.int64), np.zeros((count, n), np.int64)
-    faults, states = np.zeros(count, int), np.zeros((count, len(unit.law.blocks)), int)
-    amplitudes = np.zeros((count, len(unit.law.blocks), n), complex)
-    seen, last = np.zeros(n, np.int64), np.zeros(n, np.int64)
-    now = 0
-    for k, pulse in enumerate(np.asarray(pulses, np.int64).tolist()):
-        usable = good[k]
-        read = np.where(usable, e[k], 0)
-        added = twin.step(
-            pulse << up,
-            (read << up).tolist(),
-            (last << up).tolist(),
-            bool(marks[k] or (np.abs(read) > touch).any()),
-            bool(now & LIMITED),
-            bool(on[k]),
-            not usable.all(),
-        )
-        c[k] = [limited(shifted(value, up), 2 * one - 1) for value in added]
-        seen = np.where(usable, np.clip(read + c[k], -one, one), seen)
-        last = steps.step(seen)
-        status[k] |= LIMITED * steps.limited
-        now = int(status[k])
-        currents[k] = last
-        faults[k] = int(np.bitwise_or.reduce([int(run.fault) for run in twin.running]))
-        states[k] = twin.states
-        amplitudes[k] = twin.amplitudes()
-    return UnitRun(currents, status, faults, states, c, amplitudes)
 
 
 def contact_counts(unit: RunUnit, one: int) -> np.ndarray:
@@ -295,35 +237,3 @@ def in_order(law: SynchronousLaw, axes: tuple[str, ...], base: Base) -> Synchron
         drive = block.drive[:, rows][:, :, columns]
         blocks.append(replace(block, drive=drive, limit=block.limit[rows]))
     return replace(law, blocks=tuple(blocks))
-
-
-def _in_charge(base: Base, status: int) -> bool:
-    return not isinstance(base, SupervisedBlock) or status >> STATE_AT & 3 == State.SCHEDULED
-
-
-def _stepping(
-    base: Base, told: ArrayLike | None, status: np.ndarray
-) -> tuple[Callable[[int, np.ndarray], tuple[np.ndarray, int]], np.ndarray]:
-    """One sample of a controller: its currents and the bits of its status that this adds; and the
-    status (k,) from what is known before.
-    """
-    if isinstance(base, SupervisedBlock):
-        twin, readings = supervised_twin(base), np.asarray(told, float)
-
-        def supervised(k: int, e: np.ndarray) -> tuple[np.ndarray, int]:
-            twin.estimate = float(readings[k, 1]), float(readings[k, 2])
-            twin.schedule(float(readings[k, 0]))
-            return twin.step(e), supervised_bits(twin)
-
-        return supervised, status
-    if isinstance(base, ScheduledBlock):
-        schedule, more = follow_told(base, np.asarray(told, float))
-        steps: FixedSteps | ScheduledSteps = ScheduledSteps(base, schedule)
-        status = status | more
-    else:
-        steps = FixedSteps(base)
-
-    def step(k: int, e: np.ndarray) -> tuple[np.ndarray, int]:
-        return steps.step(e), LIMITED * steps.limited
-
-    return step, status

@@ -41,7 +41,7 @@ from ambrose.model.effects.rotor import (
     to_plane,
 )
 from ambrose.model.effects.seal_rational import has_states
-from ambrose.model.effects.support import foundation
+from ambrose.model.effects.stations import foundation
 from ambrose.model.plant import Plant, Port, highest_verified, ports, sensor_ports, supported_ports
 from ambrose.model.static_load import magnet_coefficients
 

@@ -49,7 +49,7 @@ from ambrose.model.effects import amplifier as amplifiers
 from ambrose.model.effects import seal_rational, sensor
 from ambrose.model.effects.rotor import free_modes
 from ambrose.model.effects.seal_rational import has_states
-from ambrose.model.effects.support import foundation
+from ambrose.model.effects.stations import foundation
 from ambrose.model.plant import Plant, top_speed
 from ambrose.model.static_load import magnet_coefficients, operating_magnets
 

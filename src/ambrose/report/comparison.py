@@ -21,7 +21,6 @@ from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
 from ambrose.model.static_load import LEAST_AMPLIFICATION
 from ambrose.report import comparison_tables, tables, theme
-from ambrose.report import theme as units
 from ambrose.report.comparison_tables import NOT_EVALUATED, decision, envelope_section, quoted
 from ambrose.report.figures.bode import Panel, filter_figure, panel_figure
 from ambrose.report.identification import change_figure, parameters_table
@@ -55,7 +54,7 @@ _COLUMNS = 4  # panels beside each other
 _INSIDE, _OUTSIDE = 150, 40  # bins of a response in time, inside and outside the view
 _OUTLINE = 120  # points of an outline
 # [rad/s], and points: of the controller gains, 0.1 Hz to 2 kHz
-_LOWEST, _HIGHEST = 0.1 * units.TWO_PI, 2e3 * units.TWO_PI
+_LOWEST, _HIGHEST = 0.1 * theme.TWO_PI, 2e3 * theme.TWO_PI
 _POINTS = 500
 _NONE = 1e-9  # a gain this small beside the largest is one that the controller does not have
 _DELTA = re.compile(r"^(.*\S) ([+-]\d+(?:\.\d+)?)$")
@@ -77,7 +76,7 @@ def loop_figures(candidates: Sequence[Candidate], points: Sequence[str]) -> tupl
         if curves:
             picture, hidden = panel_figure(wrapped(panels), style, mark_peaks=True)
             words = f"{caption(curves[0])} Above each panel: the peak at each operating point."
-            figures.append(Figure(units.prose(curves[0].title), picture, _with(words, hidden)))
+            figures.append(Figure(theme.prose(curves[0].title), picture, _with(words, hidden)))
     return tuple(figures)
 
 
@@ -93,7 +92,7 @@ def _loop_panel(candidate: Candidate, points: Sequence[str], name: str, check: s
         elif curve is not None:
             curves.append((point, _line(curve, curve.labels[0])))
             match = find(checks, check)
-            notes += [(point, units.quantity(match.value, match.unit))] if match is not None else []
+            notes += [(point, theme.quantity(match.value, match.unit))] if match is not None else []
     return Panel(candidate.name, tuple(curves), _one_unit(notes))
 
 
@@ -134,7 +133,7 @@ def _family_figure(
         style = theme.candidate_styles([candidate.name for candidate, _ in boxes])
         panel = Panel("", tuple((candidate.name, curve) for candidate, _, curve in families))
         picture, hidden = panel_figure([[panel]], style, mark_peaks=True)
-        return Figure(units.prose(first.title), picture, _with("The controllers overlaid.", hidden))
+        return Figure(theme.prose(first.title), picture, _with("The controllers overlaid.", hidden))
     longest = max((curve.labels for _, _, curve in families), key=len)
     labels = _family_labels(machine, longest)
     panels = []
@@ -150,7 +149,7 @@ def _family_figure(
         f"{caption(first)} Lines that are missing belong to unstable loops. Model: "
         f"{families[0][1].label}."
     )
-    return Figure(units.prose(first.title), picture, _with(words, hidden))
+    return Figure(theme.prose(first.title), picture, _with(words, hidden))
 
 
 def _family_note(checks: Checks, name: str, every: Sequence[str], stable: Sequence[str]) -> str:
@@ -159,7 +158,7 @@ def _family_note(checks: Checks, name: str, every: Sequence[str], stable: Sequen
     missing = len(every) - len(stable)
     if missing:
         return f"{missing} of {len(every)} unstable"
-    return f"worst case {units.number(check.value)}" if check is not None else ""
+    return f"worst case {theme.number(check.value)}" if check is not None else ""
 
 
 def _family_labels(machine: Machine, labels: Sequence[str]) -> dict[str, str]:
@@ -253,7 +252,7 @@ def _gain_panel(
             )
         )
     arrow = axes[i] if i == j else f"{axes[j]} → {axes[i]}"
-    return Panel(f"({i + 1},{j + 1}) {units.prose(arrow)}", tuple(curves), tuple(notes))
+    return Panel(f"({i + 1},{j + 1}) {theme.prose(arrow)}", tuple(curves), tuple(notes))
 
 
 def time_figures(
@@ -309,7 +308,7 @@ def _time_figure(
                         candidate.name if i == 0 else "",
                         lines,
                         tuple(notes) if i == 0 else (),
-                        units.axis_name(axis),
+                        theme.axis_name(axis),
                     )
                 )
             rows.append(row)
@@ -319,12 +318,12 @@ def _time_figure(
     if len(calm) < len(responses):
         words += " Of a run that is unstable or driven too far the outline of its growth is drawn."
     if span is not None and span[1] - span[0] < 0.99 * whole:
-        span_words = f"{units.quantity(span[0], 's')} to {units.quantity(span[1], 's')}"
+        span_words = f"{theme.quantity(span[0], 's')} to {theme.quantity(span[1], 's')}"
         words += (
-            f" Shown from {span_words} of the {units.quantity(whole, 's')} computed; "
+            f" Shown from {span_words} of the {theme.quantity(whole, 's')} computed; "
             "a double-click shows all."
         )
-    return Figure(units.prose(first.title), picture, _with(words, hidden))
+    return Figure(theme.prose(first.title), picture, _with(words, hidden))
 
 
 def _drawable(curve: Curve, axis: str, trace: Trace, span: tuple[float, float] | None) -> Curve:
@@ -361,7 +360,7 @@ def _growth(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _ending(trace: Trace) -> str:
-    when = "" if trace.stopped_at is None else f", down at {units.quantity(trace.stopped_at, 's')}"
+    when = "" if trace.stopped_at is None else f", down at {theme.quantity(trace.stopped_at, 's')}"
     return f"{'unstable' if not trace.stable else 'driven too far'}{when}"
 
 
@@ -579,7 +578,7 @@ def _history(candidate: Candidate) -> Table:
     history = candidate.synthesis.history
     known = [(key, words) for key, words in _HISTORY if any(key in row for row in history)]
     rows = tuple(
-        numbers(*(units.number(float(row[key]), 4) if key in row else "" for key, _ in known))
+        numbers(*(theme.number(float(row[key]), 4) if key in row else "" for key, _ in known))
         for row in history
     )
     return Table(
@@ -637,7 +636,7 @@ def _critical(points: Sequence[Checks]) -> Cell:
     if not speeds:
         return Cell("none: critically damped")
     words = [
-        f"{units.join(units.number(speed * units.RPM, 4), 'rpm')} ({units.number(factor, 2)})"
+        f"{theme.join(theme.number(speed * theme.RPM, 4), 'rpm')} ({theme.number(factor, 2)})"
         for speed, factor in speeds
     ]
     return Cell(", ".join(words), detail=f"at {label}")
@@ -742,7 +741,7 @@ def _on_the_rig(candidate: Candidate, point: str) -> Trace | None:
 def _outcome(trace: Trace | None) -> tuple[Cell, Cell]:
     if trace is None:
         return Cell("not run", "none"), Cell("")
-    largest = units.quantity(float(np.abs(trace.record.values).max()), "m")
+    largest = theme.quantity(float(np.abs(trace.record.values).max()), "m")
     return Cell(trace.text, "pass" if trace.passed else "fail"), Cell(largest, "number")
 
 
@@ -772,11 +771,11 @@ def _table(runs: Sequence[RunUp], limit: float | None) -> Table:
             for steps in every
         ]
         rows.append(
-            (*numbers(units.quantity(step.start, "s"), units.quantity(step.speed, "rad/s")), *cells)
+            (*numbers(theme.quantity(step.start, "s"), theme.quantity(step.speed, "rad/s")), *cells)
         )
     columns = ("Step at", "Speed", *("Linear", "Rig") * len(runs))
     groups = (("", 2), *((f"{run.name}, settles in", 2) for run in runs))
-    note = "" if limit is None else f"Asked for: {units.quantity(limit, 's')}."
+    note = "" if limit is None else f"Asked for: {theme.quantity(limit, 's')}."
     return Table(
         "Settling after every step", columns, tuple(rows), note, groups=groups, by_cell=True
     )
@@ -786,7 +785,7 @@ def _settling(step: Step, limit: float | None) -> Cell:
     if not np.isfinite(step.settling):
         return Cell("not within 50 ms", "fail")
     return Cell(
-        units.quantity(step.settling, "s"),
+        theme.quantity(step.settling, "s"),
         "fail" if limit is not None and step.settling > limit else "number",
     )
 
@@ -822,5 +821,5 @@ def _piece(trace: Trace, start: float) -> Curve:
     x = time[inside] - start
     level = values - np.mean(values)  # the rig's rotor rests where its weight leaves it
     return Curve(
-        "run-up", "displacement", "time", x, level[inside][None], (units.axis_name(name),), "s", "m"
+        "run-up", "displacement", "time", x, level[inside][None], (theme.axis_name(name),), "s", "m"
     )

@@ -12,7 +12,7 @@ from typing import Any
 from ambrose.judge.checks import WITH_MEAN_DELAY, Check, Checks, box_label
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
-from ambrose.report import theme as units
+from ambrose.report import theme
 from ambrose.report.page import Cell, Row, Section, Table, Verdict
 from ambrose.report.tables import RELATION, around, listed, place
 from ambrose.rig.trial import Candidate, find
@@ -91,16 +91,16 @@ def binding(check: Check) -> str:
     name = check.name.removeprefix("robust.").removeprefix("sampled.")
     return next(
         (words for start, words in _SHORT.items() if name.startswith(start)),
-        units.prose(check.title),
+        theme.prose(check.title),
     )
 
 
 def ratio_text(ratio: float) -> str:
     """In percent, with as many digits as it takes to tell it from 100."""
-    text = units.number(100 * ratio, 3 if ratio >= 1 else 2)
+    text = theme.number(100 * ratio, 3 if ratio >= 1 else 2)
     if text == "100" and ratio != 1.0:
-        text = units.pair(100 * ratio, 100.0, "")[0]
-    return units.join(text, "%")
+        text = theme.pair(100 * ratio, 100.0, "")[0]
+    return theme.join(text, "%")
 
 
 def nearest(candidates: Sequence[Candidate]) -> Candidate:
@@ -195,7 +195,7 @@ def _amount(result: Share) -> str:
     check = result.check
     if check is None or check.limit is None:
         return ""
-    value, limit = units.pair(check.value, check.limit, check.unit)
+    value, limit = theme.pair(check.value, check.limit, check.unit)
     return f"{binding(check)} {value} (limit {limit})"
 
 
@@ -257,7 +257,7 @@ def _panel(candidate: Candidate, places: Sequence[OperatingPoint]) -> Table:
     for pressure in reversed(pressures):
         labels = [at.get((speed, pressure)) for speed in speeds]
         rows.append(
-            (units.quantity(pressure, "Pa"), *(_cell(candidate, label) for label in labels))
+            (theme.quantity(pressure, "Pa"), *(_cell(candidate, label) for label in labels))
         )
         if candidate.boxes:
             rows.append(
@@ -278,7 +278,7 @@ def _table(
         where = (
             ""
             if place is None
-            else f"{_rpm(place.speed)}, {units.quantity(place.seal_pressure, 'Pa')}"
+            else f"{_rpm(place.speed)}, {theme.quantity(place.seal_pressure, 'Pa')}"
         )
         rows.append(
             (Cell(label, detail=where), *(_cell(candidate, label) for candidate in candidates))
@@ -327,7 +327,7 @@ def _box_cell(candidate: Candidate, label: str | None) -> Cell:
     )
     return _shaded(
         result,
-        f"from {units.number(100 * margin.value)}\u00a0% of them" if margin is not None else "",
+        f"from {theme.number(100 * margin.value)}\u00a0% of them" if margin is not None else "",
     )
 
 
@@ -358,7 +358,7 @@ def shade_of(result: Share) -> str:
 
 
 def _rpm(speed: float) -> str:
-    return units.join(units.number(speed * units.RPM, 4), "rpm")
+    return theme.join(theme.number(speed * theme.RPM, 4), "rpm")
 
 
 Better = Callable[..., Any]  # min or max
@@ -533,7 +533,7 @@ def _row(sample: Check, entries: Sequence[_Entry], better: Better, *, group: int
     known = [
         abs(x) for check in checks for x in (check.value, check.limit or 0.0) if math.isfinite(x)
     ]
-    factor, unit = units.scale(first.unit, max(known, default=0.0))
+    factor, unit = theme.scale(first.unit, max(known, default=0.0))
     limits = {_limit(check, factor) for check in checks or [sample]}
     size = group or len(entries)
     cells = []
@@ -568,7 +568,7 @@ def _row(sample: Check, entries: Sequence[_Entry], better: Better, *, group: int
                     ", ".join(part for part in (entry.words, limit_words) if part),
                 )
             )
-    title = units.prose(first.title) + (f" [{unit}]" if unit else "")
+    title = theme.prose(first.title) + (f" [{unit}]" if unit else "")
     return (title, limits.pop() if len(limits) == 1 else "", *cells)
 
 
@@ -576,15 +576,15 @@ def _limit(check: Check, factor: float) -> str:
     return (
         ""
         if check.limit is None
-        else f"{RELATION.get(check.relation, check.relation)} {units.number(check.limit * factor)}"
+        else f"{RELATION.get(check.relation, check.relation)} {theme.number(check.limit * factor)}"
     )
 
 
 def _number(check: Check, factor: float) -> str:
     """The value in the shown unit, with as many digits as it takes to tell it from its limit."""
     if check.limit is None or not math.isfinite(check.value):
-        return units.number(check.value * factor)
-    return units.pair(check.value * factor, check.limit * factor, "")[0]
+        return theme.number(check.value * factor)
+    return theme.pair(check.value * factor, check.limit * factor, "")[0]
 
 
 def _best(known: Sequence[tuple[float, str]], better: Better) -> str | None:
@@ -636,7 +636,7 @@ def _stability_cell(checks: Checks | None) -> Cell:
 def _box(machine: Machine) -> str:
     return (
         ", ".join(
-            f"{units.prose(item.parameter)} ±{_half_width(item)}" for item in machine.tolerances
+            f"{theme.prose(item.parameter)} ±{_half_width(item)}" for item in machine.tolerances
         )
         or "all tolerances"
     )
@@ -644,8 +644,8 @@ def _box(machine: Machine) -> str:
 
 def _half_width(tolerance: Tolerance) -> str:
     if tolerance.relative is not None:
-        return f"{units.number(100 * tolerance.relative)}\u00a0%"
-    return units.number(tolerance.absolute or 0.0)
+        return f"{theme.number(100 * tolerance.relative)}\u00a0%"
+    return theme.number(tolerance.absolute or 0.0)
 
 
 def _mu_row(candidates: Sequence[Candidate]) -> list[Row]:
@@ -659,7 +659,7 @@ def _mu_row(candidates: Sequence[Candidate]) -> list[Row]:
         uppers = [values.get("mu_mixed", math.nan) for values in margins]
         lowers = [values.get("mu_mixed_lower", math.nan) for values in margins]
         details = [
-            f"lower bound {units.number(lower)}" if math.isfinite(lower) else "" for lower in lowers
+            f"lower bound {theme.number(lower)}" if math.isfinite(lower) else "" for lower in lowers
         ]
     if all(math.isnan(upper) for upper in uppers):
         return []
@@ -669,10 +669,10 @@ def _mu_row(candidates: Sequence[Candidate]) -> list[Row]:
 def _controller_rows(candidates: Sequence[Candidate]) -> list[Row]:
     syntheses = [candidate.synthesis for candidate in candidates]
     orders = [float(synthesis.controller.n_states) for synthesis in syntheses]
-    factor, unit = units.scale("rad/s")
+    factor, unit = theme.scale("rad/s")
     fastest = [synthesis.certificate.fastest_pole * factor for synthesis in syntheses]
     gammas = [
-        Cell(units.number(synthesis.gamma), detail=synthesis.method)
+        Cell(theme.number(synthesis.gamma), detail=synthesis.method)
         if math.isfinite(synthesis.gamma)
         else Cell("none", "muted")
         for synthesis in syntheses
@@ -688,7 +688,7 @@ def _numbers(
     values: Sequence[float], details: Sequence[str] = (), *, better: Better, absent: str = "none"
 ) -> list[Cell]:
     """Plain numbers as cells, the best of them marked; NaN where there is none."""
-    texts = [units.number(value) for value in values]
+    texts = [theme.number(value) for value in values]
     known = [
         (value, text) for value, text in zip(values, texts, strict=True) if not math.isnan(value)
     ]

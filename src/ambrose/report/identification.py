@@ -33,7 +33,6 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import TIMING, parse_parameter
 from ambrose.record.record import Record
 from ambrose.report import tables, theme
-from ambrose.report import theme as units
 from ambrose.report.figures.bode import Panel, panel_figure
 from ambrose.report.figures.bode import residual_figure as residual_response
 from ambrose.report.figures.seals import frequency_figure, pressure_figure, response_figure
@@ -70,7 +69,7 @@ def short(path: str) -> str:
     if path in TIMING:
         return f"delay of the {path.partition('.')[0]}"
     parameter = parse_parameter(path)
-    component = units.axis_name(parameter.component) if parameter.component else ""
+    component = theme.axis_name(parameter.component) if parameter.component else ""
     if parameter.table == "bearing":
         return _joined(_SYMBOLS[parameter.quantity], parameter.name, component)
     if parameter.table == "seal":
@@ -126,7 +125,7 @@ def change_figure(result: ParameterEstimate) -> Any:
     )
     figure.add_vline(x=0, line={"color": theme.INK, "width": 1})
     for name, at, width in zip(names, value, half, strict=True):
-        text = f"{units.fixed(float(at), float(width))} ± {units.number(float(width), 2)} %"
+        text = f"{theme.fixed(float(at), float(width))} ± {theme.number(float(width), 2)} %"
         figure.add_annotation(
             x=1,
             xref="x domain",
@@ -153,7 +152,7 @@ def overlay_figure(piece: SimulatedOutput) -> tuple[Any, str]:
     rows = _in_pairs([_panel(piece, i, time, part) for i in range(len(piece.signals))])
     style = theme.overlay_styles(["measured", "model", "residual"])
     figure, beyond = panel_figure(rows, style, height=190)
-    span = f"{units.number(float(time[0]), 4)} to {units.number(float(time[-1]), 4)} s"
+    span = f"{theme.number(float(time[0]), 4)} to {theme.number(float(time[-1]), 4)} s"
     return figure, f"Shown are {span}, around the largest motion.{' ' + beyond if beyond else ''}"
 
 
@@ -182,7 +181,7 @@ def _panel(piece: SimulatedOutput, i: int, time: np.ndarray, part: slice) -> Pan
     spread = float(np.linalg.norm(piece.measured[i] - piece.measured[i].mean()))
     left = float(np.linalg.norm(piece.residual[i])) / max(spread, 1e-300)
     return Panel(
-        units.axis_name(piece.signals[i]), curves, (("", f"fit {100 * (1 - left):.1f} %"),)
+        theme.axis_name(piece.signals[i]), curves, (("", f"fit {100 * (1 - left):.1f} %"),)
     )
 
 
@@ -215,8 +214,8 @@ def residual_figure(piece: SimulatedOutput) -> tuple[Any, str]:
         at, thin = thinned(piece.record.time, piece.residual[i : i + 1])
         curve = Curve("identification.residual", "", "time", at, thin, (signal,), "s", unit)
         sizes = (float(np.std(piece.residual[i])), float(np.std(piece.measured[i])))
-        words = " of ".join(units.quantity(size, unit, 2) for size in sizes) + " rms"
-        panels.append(Panel(units.axis_name(signal), (("residual", curve),), (("", words),)))
+        words = " of ".join(theme.quantity(size, unit, 2) for size in sizes) + " rms"
+        panels.append(Panel(theme.axis_name(signal), (("residual", curve),), (("", words),)))
     style = {"residual": theme.Style("#0072b2", "solid", "circle-open", 1.0)}
     return panel_figure(_in_pairs(panels), style, height=120)
 
@@ -287,8 +286,8 @@ def residual_tests_figure(result: ParameterEstimate) -> Any:
     figure = go.Figure(
         go.Heatmap(
             z=ratio,
-            x=[theme.plain(units.prose(name)) for name in columns],
-            y=[theme.plain(units.axis_name(n)) for n in rows],
+            x=[theme.plain(theme.prose(name)) for name in columns],
+            y=[theme.plain(theme.axis_name(n)) for n in rows],
             zmin=0,
             zmax=2,
             colorscale=((0.0, "#ffffff"), (0.499, "#d9e8f3"), (0.501, "#f4c7a8"), (1.0, "#b2182b")),
@@ -349,7 +348,7 @@ def frf_figure(machine: Machine, checked: LoopIdentification) -> tuple[Any, str]
             whole, plant_at(machine, result.point, values, checked.bending_modes).system
         )
     validity = compare(whole, models["identified"])
-    names = {axis: units.axis_name(axis) for axis in axes}
+    names = {axis: theme.axis_name(axis) for axis in axes}
     measured = {names[axis]: whole.select(f"v_{axis}", f"y_{axis}") for axis in axes}
     beside: Mapping[str, Mapping[str, FrequencyResponse]] = {
         names[axis]: {
@@ -369,7 +368,7 @@ def frf_figure(machine: Machine, checked: LoopIdentification) -> tuple[Any, str]
     low = min(reach.values())
     words = (
         "On every axis the identified model agrees within 10 % and 10° up to "
-        f"{units.quantity(low, 'rad/s')} (dashed)."
+        f"{theme.quantity(low, 'rad/s')} (dashed)."
         if low > 0
         else "The identified model leaves the measured response by more than 10 % or 10° from the "
         "first frequencies on."
@@ -436,7 +435,7 @@ def values_table(done: GenericIdentification) -> Table:
             (
                 f"{item.name} {item.symbol}",
                 *numbers(
-                    units.plus_minus(*_scaled(item)),
+                    theme.plus_minus(*_scaled(item)),
                     _half(item.formal, item),
                     _half(item.halves, item),
                     other,
@@ -462,12 +461,12 @@ def _scaled(item: PlantValue) -> tuple[float, float, str]:
 
 
 def _half(value: float, item: PlantValue) -> str:
-    return f"± {units.number(value * _factor(item)[0], 2)}"
+    return f"± {theme.number(value * _factor(item)[0], 2)}"
 
 
 def _shown(value: float, item: PlantValue) -> str:
     factor, _ = _factor(item)
-    return units.fixed(value * factor, item.half_width * factor)
+    return theme.fixed(value * factor, item.half_width * factor)
 
 
 def questions_table(done: GenericIdentification) -> Table:
@@ -483,41 +482,41 @@ def questions_table(done: GenericIdentification) -> Table:
         ),
         (
             "Residual white",
-            f"chance {units.number(tried.white, 2)}; its past tells "
-            f"{units.number(100 * tried.white_share, 2)} %",
+            f"chance {theme.number(tried.white, 2)}; its past tells "
+            f"{theme.number(100 * tried.white_share, 2)} %",
             _mark(tried.white >= LEVEL if direct else None),
         ),
         (
             "Residual free of the excitation",
-            f"chance {units.number(tried.follows, 2)}; "
-            f"{units.number(100 * tried.follows_share, 2)} % follows",
+            f"chance {theme.number(tried.follows, 2)}; "
+            f"{theme.number(100 * tried.follows_share, 2)} % follows",
             _mark(tried.follows >= LEVEL),
         ),
         (
             "Both ways agree",
-            "not known" if tried.agree is None else f"chance {units.number(tried.agree, 2)}",
+            "not known" if tried.agree is None else f"chance {theme.number(tried.agree, 2)}",
             _mark(None if tried.agree is None or not direct else tried.agree >= 0.001),
         ),
         (
             "Straight",
-            f"chance of the curvature seen {units.number(tried.curved, 2)}",
+            f"chance of the curvature seen {theme.number(tried.curved, 2)}",
             _mark(True if tried.curved >= 0.001 else None),
         ),
         (
             "Driven from outside",
-            f"gain over its deviation {units.number(tried.outside, 3)}, by the {outside}",
+            f"gain over its deviation {theme.number(tried.outside, 3)}, by the {outside}",
             _mark(tried.outside >= 5),
         ),
         (
             "Coherence about the pole",
-            f"{units.number(done.coherence_in_band, 2)}; by chance {units.number(done.chance, 2)}",
+            f"{theme.number(done.coherence_in_band, 2)}; by chance {theme.number(done.chance, 2)}",
             _mark(None),
         ),
         (
-            f"Second half, {units.number(1e3 * ahead.horizon, 3)} ms ahead",
-            f"error {units.quantity(ahead.error, 'm')}, promised "
-            f"{units.quantity(ahead.expected, 'm')}; staying where it is "
-            f"{units.quantity(ahead.still, 'm')}",
+            f"Second half, {theme.number(1e3 * ahead.horizon, 3)} ms ahead",
+            f"error {theme.quantity(ahead.error, 'm')}, promised "
+            f"{theme.quantity(ahead.expected, 'm')}; staying where it is "
+            f"{theme.quantity(ahead.still, 'm')}",
             _mark(ahead.excess <= 1.5),
         ),
     ]
@@ -536,8 +535,8 @@ def law_table(done: GenericIdentification) -> Table:
         (
             row.name,
             *numbers(
-                f"{units.number(row.expected, 4)} {row.unit}",
-                units.plus_minus(row.found, row.half_width, row.unit),
+                f"{theme.number(row.expected, 4)} {row.unit}",
+                theme.plus_minus(row.found, row.half_width, row.unit),
             ),
             Cell("fits" if row.fits else "does not fit", "pass" if row.fits else "fail"),
         )
@@ -584,7 +583,7 @@ def generic_page(done: GenericIdentification, *, date: str = "") -> Page:
 
 def _predicted(done: GenericIdentification) -> str:
     ahead = done.estimate.prediction
-    error, promised = units.quantity(ahead.error, "m"), units.quantity(ahead.expected, "m")
+    error, promised = theme.quantity(ahead.error, "m"), theme.quantity(ahead.expected, "m")
     return f"second half predicted from the first: error {error} (expected {promised})"
 
 
@@ -593,7 +592,7 @@ def prediction_figure(done: GenericIdentification) -> Any:
     ahead = done.estimate.prediction
     figure = theme.subplots(rows=1, cols=1)
     place = {"row": 1, "col": 1}
-    factor, unit = units.scale("m", float(abs(ahead.measured).max()))
+    factor, unit = theme.scale("m", float(abs(ahead.measured).max()))
     looks = theme.overlay_styles(("measured", "predicted"))
     for label, values in (("measured", ahead.measured), ("predicted", ahead.predicted)):
         line = {"color": looks[label].colour, "width": looks[label].width}
@@ -658,7 +657,7 @@ def static_page(
         Verdict(
             "Straightness",
             not any(finding.code == Code.CURVED for finding in result.warnings),
-            units.prose(result.verdict),
+            theme.prose(result.verdict),
         ),
         without_findings("Loads", result.warnings, "both sides, position held"),
     )
@@ -669,9 +668,9 @@ def static_page(
         (
             "Levels",
             f"{len(result.levels.loads)}, loads at "
-            f"{', '.join(units.axis_name(port) for port in result.levels.ports)}",
+            f"{', '.join(theme.axis_name(port) for port in result.levels.ports)}",
         ),
-        ("Largest force of a magnet", units.quantity(float(np.abs(result.forces).max()), "N")),
+        ("Largest force of a magnet", theme.quantity(float(np.abs(result.forces).max()), "N")),
     )
     return Page(
         "Force per current from static loads",
@@ -693,12 +692,12 @@ def static_table(checked: StaticIdentification) -> Table:
         rest, rest_half = float(result.at_rest[i]), COVERAGE * float(result.at_rest_deviations[i])
         before = float(result.start[i])
         cells = numbers(
-            units.quantity(before, "N/A", 4),
-            units.plus_minus(value, half, "N/A"),
-            f"{units.fixed(100 * (value / before - 1), 100 * half / before)} %",
-            units.plus_minus(rest, rest_half, "N/A"),
-            f"{units.number(100 * float(result.stiffness_share[i]), 2)} %",
-            f"{units.number(100 * (value / rest - 1), 2)} %"
+            theme.quantity(before, "N/A", 4),
+            theme.plus_minus(value, half, "N/A"),
+            f"{theme.fixed(100 * (value / before - 1), 100 * half / before)} %",
+            theme.plus_minus(rest, rest_half, "N/A"),
+            f"{theme.number(100 * float(result.stiffness_share[i]), 2)} %",
+            f"{theme.number(100 * (value / rest - 1), 2)} %"
             if result.linearity[i] < _LINEAR
             else "straight",
         )
@@ -728,15 +727,15 @@ def levels_table(result: StaticLoad) -> Table:
     levels = result.levels
     rows: list[Row] = []
     for j in range(len(levels.loads)):
-        loads = ", ".join(f"{units.number(float(load), 3)} N" for load in levels.loads[j])
-        moved = ", ".join(units.number(1e6 * float(y), 2) for y in levels.displacement[j])
-        currents = ", ".join(units.number(float(i), 3) for i in levels.current[j])
-        forces = ", ".join(units.number(float(f), 3) for f in result.forces[j])
+        loads = ", ".join(f"{theme.number(float(load), 3)} N" for load in levels.loads[j])
+        moved = ", ".join(theme.number(1e6 * float(y), 2) for y in levels.displacement[j])
+        currents = ", ".join(theme.number(float(i), 3) for i in levels.current[j])
+        forces = ", ".join(theme.number(float(f), 3) for f in result.forces[j])
         rows.append(
             (str(int(levels.record[j])), f"{levels.start[j]:.2f} s", loads, moved, currents, forces)
         )
-    ports = ", ".join(units.axis_name(port) for port in levels.ports)
-    axes = ", ".join(units.axis_name(axis) for axis in result.axes)
+    ports = ", ".join(theme.axis_name(port) for port in levels.ports)
+    axes = ", ".join(theme.axis_name(axis) for axis in result.axes)
     columns = (
         "Record",
         "From",
@@ -763,7 +762,7 @@ def line_figure(result: StaticLoad) -> Any:
         for i, left in enumerate(lefts)
     ]
     titles = [
-        f"<b>{units.axis_name(axis)}</b>, {units.number(share, 2)} % of its range"
+        f"<b>{theme.axis_name(axis)}</b>, {theme.number(share, 2)} % of its range"
         for axis, share in zip(result.axes, shares, strict=True)
     ]
     figure = theme.subplots(
@@ -817,11 +816,11 @@ def parameters_table(result: ParameterEstimate) -> Table:
         unit, half = unit_of(path), COVERAGE * float(deviation)
         relative = half / abs(value) if value else math.inf
         change = (
-            f"{units.fixed(100 * (value / start - 1), 100 * half / abs(start))} %" if start else ""
+            f"{theme.fixed(100 * (value / start - 1), 100 * half / abs(start))} %" if start else ""
         )
-        spread = f"{units.number(100 * float(deviation) / abs(value), 2)} %" if value else ""
+        spread = f"{theme.number(100 * float(deviation) / abs(value), 2)} %" if value else ""
         cells = numbers(
-            units.quantity(start, unit, 4),
+            theme.quantity(start, unit, 4),
             _value(value, half, unit),
             _interval(value, half, unit),
             spread,
@@ -842,7 +841,7 @@ def fit_table(result: ParameterEstimate) -> Table:
     rows = [
         (
             str(number),
-            units.axis_name(signal),
+            theme.axis_name(signal),
             Cell(f"{percent:.2f} %", "fail" if percent < 50 else "number"),
         )
         for number, signal, percent in result.fit
@@ -859,7 +858,7 @@ def turning_table(result: ParameterEstimate) -> Table:
     rows = [
         (
             str(one.record),
-            units.axis_name(one.signal),
+            theme.axis_name(one.signal),
             f"{one.order} x" if one.order else "tone",
             f"{one.frequency:.5g} Hz",
             f"{one.amplitude * scale:.3g} ± {COVERAGE * one.standard_deviation * scale:.2g} {unit}",
@@ -886,9 +885,9 @@ def residual_tests_table(result: ParameterEstimate) -> Table:
     ordered = sorted(result.tests, key=lambda test: -abs(test.correlation) / test.limit)
     rows: list[Row] = [
         (
-            units.axis_name(test.signal),
-            units.prose(test.excitation),
-            *numbers(units.number(test.correlation, 2), units.number(test.limit, 2), str(test.lag)),
+            theme.axis_name(test.signal),
+            theme.prose(test.excitation),
+            *numbers(theme.number(test.correlation, 2), theme.number(test.limit, 2), str(test.lag)),
             Cell(f"{100 * test.visible:.2g} %" if np.isfinite(test.visible) else "-", "number"),
             Cell("within" if test.passed else "beyond", "pass" if test.passed else "fail"),
         )
@@ -922,7 +921,7 @@ def repeats_table(repeats: Repeats) -> Table:
         mean = float(repeats.mean[i])
         half = float(repeats.half_width[i])
         stated = 100 * float(repeats.predicted[i]) / abs(mean) if mean else math.nan
-        scatter = (f"{units.number(share, 2)} %" for share in (float(repeats.rsd[i]), stated))
+        scatter = (f"{theme.number(share, 2)} %" for share in (float(repeats.rsd[i]), stated))
         rows.append(
             (path, *numbers(_value(mean, half, unit), _interval(mean, half, unit), *scatter))
         )
@@ -940,18 +939,18 @@ def seal_table(fit: SealFit) -> Table:
     """K, k, C, c at every pressure with their 95 % intervals."""
     rows: list[Row] = []
     for i, pressure in enumerate(fit.pressure.tolist()):
-        cells = [Cell(units.quantity(pressure, "Pa", 4))]
+        cells = [Cell(theme.quantity(pressure, "Pa", 4))]
         for j, letter in enumerate(COEFFICIENTS):
-            factor, unit = units.coefficient_scale(letter)
+            factor, unit = theme.coefficient_scale(letter)
             half = COVERAGE * float(fit.deviations[i, j]) * factor
-            cells += numbers(units.plus_minus(float(fit.values[i, j]) * factor, half, unit))
+            cells += numbers(theme.plus_minus(float(fit.values[i, j]) * factor, half, unit))
         rows.append(tuple(cells))
     note = (
         "95 % interval of what noise leaves open, all else as identified. K and c, and k and C, "
         "have the same effect at one frequency."
     )
     columns = ("Pressure", *COEFFICIENTS)
-    return Table(f"Seal {units.axis_name(fit.seal)} by pressure", columns, tuple(rows), note)
+    return Table(f"Seal {theme.axis_name(fit.seal)} by pressure", columns, tuple(rows), note)
 
 
 def seal_tables(fit: SealFit) -> tuple[Table, ...]:
@@ -964,14 +963,14 @@ def seal_lines_table(fit: SealFit) -> Table:
     rows: list[Row] = []
     for letter in COEFFICIENTS:
         one = line(fit, letter)
-        factor, unit = units.coefficient_scale(letter)
-        bar, top = units.scale("Pa")[0], float(fit.pressure.max())
+        factor, unit = theme.coefficient_scale(letter)
+        bar, top = theme.scale("Pa")[0], float(fit.pressure.max())
         half, times = float(one.confidence(0.0)), float(one.confidence(0.0) / one.deviation(0.0))
         slope = float(one.covariance[1, 1]) ** 0.5 * times / bar * factor
         width = float(max(one.prediction(0.0), one.prediction(top))) * factor
-        intercept = units.plus_minus(one.intercept * factor, half * factor, unit)
-        rise = units.plus_minus(
-            one.slope / bar * factor, slope, f"{unit} per {units.scale('Pa')[1]}"
+        intercept = theme.plus_minus(one.intercept * factor, half * factor, unit)
+        rise = theme.plus_minus(
+            one.slope / bar * factor, slope, f"{unit} per {theme.scale('Pa')[1]}"
         )
         rows.append(
             (
@@ -979,8 +978,8 @@ def seal_lines_table(fit: SealFit) -> Table:
                 *numbers(
                     intercept,
                     rise,
-                    f"{units.number(width, 2)} {unit}",
-                    units.number(one.scatter, 2),
+                    f"{theme.number(width, 2)} {unit}",
+                    theme.number(one.scatter, 2),
                 ),
             )
         )
@@ -992,7 +991,7 @@ def seal_lines_table(fit: SealFit) -> Table:
     )
     columns = ("Coefficient", "At zero pressure", "Slope", "Next", "Scatter")
     return Table(
-        f"Seal {units.axis_name(fit.seal)}: lines over pressure", columns, tuple(rows), note
+        f"Seal {theme.axis_name(fit.seal)}: lines over pressure", columns, tuple(rows), note
     )
 
 
@@ -1002,7 +1001,7 @@ def compared_table(rows: Sequence[Agreement]) -> Table:
     for row in rows:
         unit = unit_of(row.path)
         difference = (
-            f"{units.number(row.difference, 2)} ± {units.number(row.difference_half_width, 2)} %"
+            f"{theme.number(row.difference, 2)} ± {theme.number(row.difference_half_width, 2)} %"
             if row.other
             else ""
         )
@@ -1026,14 +1025,14 @@ def compared_table(rows: Sequence[Agreement]) -> Table:
 
 
 def _value(value: float, half: float, unit: str) -> str:
-    factor, name = units.scale(unit, value)
-    return units.join(units.fixed(value * factor, half * factor), name)
+    factor, name = theme.scale(unit, value)
+    return theme.join(theme.fixed(value * factor, half * factor), name)
 
 
 def _interval(value: float, half: float, unit: str) -> str:
-    factor, name = units.scale(unit, value)
-    low, high = (units.fixed((value + side * half) * factor, half * factor) for side in (-1, 1))
-    return units.join(f"{low} … {high}", name)
+    factor, name = theme.scale(unit, value)
+    low, high = (theme.fixed((value + side * half) * factor, half * factor) for side in (-1, 1))
+    return theme.join(f"{low} … {high}", name)
 
 
 _TITLES = {
@@ -1163,7 +1162,7 @@ def seal_figure(fit: SealFit) -> Figure:
         {letter: line(rows, letter) for letter in COEFFICIENTS} if len(rows.pressures) > 2 else {}
     )
     return Figure(
-        f"Seal {units.axis_name(fit.seal)}: coefficients against pressure",
+        f"Seal {theme.axis_name(fit.seal)}: coefficients against pressure",
         pressure_figure(rows, lines),
         _SEAL,
     )
@@ -1210,14 +1209,14 @@ def _verdicts(checked: LoopIdentification, seal: SealFit | None = None) -> tuple
     least = min(percent for _, _, percent in result.fit)
     sure = _relative(worst) < 0.15 and result.converged
     verdicts = [
-        Verdict("Residuals", passed, units.prose(result.verdict)),
+        Verdict("Residuals", passed, theme.prose(result.verdict)),
         Verdict("Fit", None, f"{least:.1f} % or better in every signal"),
         Verdict(
             "Parameters",
             sure,
-            f"standard deviations up to {units.number(100 * _relative(worst), 2)} % ({worst[0]}), "
+            f"standard deviations up to {theme.number(100 * _relative(worst), 2)} % ({worst[0]}), "
             "condition "
-            f"{units.number(result.condition, 2)}, {result.iterations} iterations"
+            f"{theme.number(result.condition, 2)}, {result.iterations} iterations"
             + ("" if result.converged else ", NOT converged"),
         ),
     ]
@@ -1229,7 +1228,7 @@ def _verdicts(checked: LoopIdentification, seal: SealFit | None = None) -> tuple
     if seal is not None:
         span = (
             f"{len(seal.pressures)} pressures up to "
-            f"{units.quantity(float(seal.pressure.max()), 'Pa')}"
+            f"{theme.quantity(float(seal.pressure.max()), 'Pa')}"
         )
         warned = (
             f", {len(seal.warnings)} warning{'s' * (len(seal.warnings) != 1)}; see below"
@@ -1247,10 +1246,10 @@ def _relative(row: tuple[str, float, float]) -> float:
 def _facts(checked: LoopIdentification) -> tuple[tuple[str, str], ...]:
     result = checked.result
     spans = [
-        f"{units.number(piece.record.values.shape[1] / piece.record.sample_rate_hz, 4)} s"
+        f"{theme.number(piece.record.values.shape[1] / piece.record.sample_rate_hz, 4)} s"
         for piece in checked.outputs
     ]
-    rates = [units.number(piece.record.sample_rate_hz, 6) for piece in checked.outputs[:1]]
+    rates = [theme.number(piece.record.sample_rate_hz, 6) for piece in checked.outputs[:1]]
     what = f" ({', '.join(spans)} at {rates[0]} Hz)" if rates else " (frequency responses)"
     delay, modes = checked.computing_delay, checked.bending_modes
     return (
@@ -1260,8 +1259,8 @@ def _facts(checked: LoopIdentification) -> tuple[tuple[str, str], ...]:
         ),
         ("Controller", checked.provenance.controller),
         ("Operating point", result.point.label),
-        ("Seal pressure", units.quantity(result.point.seal_pressure, "Pa")),
-        ("Speed", f"{units.number(result.point.speed * units.RPM, 4)} rpm"),
+        ("Seal pressure", theme.quantity(result.point.seal_pressure, "Pa")),
+        ("Speed", f"{theme.number(result.point.speed * theme.RPM, 4)} rpm"),
         (
             "Model",
             f"{modes} bending mode{'s' * (modes != 1)} per plane, computing delay {delay:g} "
@@ -1281,7 +1280,7 @@ _FREQUENCY = (
 def seal_page(done: SealByFrequency, *, date: str = "") -> Page:
     """The page of a seal; date: ISO (today if empty)."""
     fit, doubts = done.fit, done.findings
-    f = fit.frequency / units.TWO_PI
+    f = fit.frequency / theme.TWO_PI
     figures = (
         Figure("Coefficients over frequency", frequency_figure(fit, done.constants), _FREQUENCY),
         seal_figure(fit),
@@ -1301,10 +1300,10 @@ def seal_page(done: SealByFrequency, *, date: str = "") -> Page:
     facts = (
         ("Records", ", ".join(done.records)),
         ("Method", fit.method),
-        ("Pressures", ", ".join(units.quantity(float(p), "Pa") for p in fit.pressures)),
+        ("Pressures", ", ".join(theme.quantity(float(p), "Pa") for p in fit.pressures)),
         ("Frequencies", f"{len(np.unique(f))} from {f.min():.4g} to {f.max():.4g} Hz"),
     )
-    title = f"Seal {units.axis_name(fit.seal)} by frequency and pressure"
+    title = f"Seal {theme.axis_name(fit.seal)} by frequency and pressure"
     return Page(
         title,
         done.given,
@@ -1322,13 +1321,13 @@ def frequency_tables(done: SealByFrequency) -> Iterator[Table]:
     rows: list[Row] = []
     for i in range(len(done.fit)):
         cells: list[str | Cell] = [
-            units.quantity(float(done.fit.pressure[i]), "Pa", 4),
-            units.quantity(float(done.fit.frequency[i]), "rad/s", 4),
+            theme.quantity(float(done.fit.pressure[i]), "Pa", 4),
+            theme.quantity(float(done.fit.frequency[i]), "rad/s", 4),
         ]
         for j, letter in enumerate(COEFFICIENTS):
-            factor, unit = units.coefficient_scale(letter)
+            factor, unit = theme.coefficient_scale(letter)
             half = COVERAGE * float(done.fit.deviations[i, j]) * factor
-            cells += numbers(units.plus_minus(float(done.fit.values[i, j]) * factor, half, unit))
+            cells += numbers(theme.plus_minus(float(done.fit.values[i, j]) * factor, half, unit))
         rows.append(tuple(cells))
     yield Table(
         "Every pressure and frequency", ("Pressure", "Frequency", *COEFFICIENTS), tuple(rows)

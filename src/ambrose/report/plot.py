@@ -35,7 +35,6 @@ from ambrose.machine.machine import Machine
 from ambrose.model.plant import Plant
 from ambrose.record.record import Record
 from ambrose.report import theme
-from ambrose.report import theme as units
 from ambrose.report.comparison import loop_figures, run_up_figure
 from ambrose.report.comparison_tables import decision
 from ambrose.report.figures.bode import (
@@ -149,7 +148,7 @@ def _system(system: StateSpace, name: str = "") -> Any:
     response = frequency_response(system, grid_of(system))
     picture = bode_figure(entries(response), unit_of(response), sample_time=system.dt)
     rate = (
-        "continuous" if system.dt is None else f"sampled at {units.quantity(1 / system.dt, 'Hz')}"
+        "continuous" if system.dt is None else f"sampled at {theme.quantity(1 / system.dt, 'Hz')}"
     )
     kind = name or (
         "Controller" if system.inputs and system.inputs[0].startswith("err_") else "System"
@@ -181,16 +180,16 @@ def _schedule(schedule: ScheduledSystem, name: str = "Schedule") -> Any:
         sample_time=members[0][1].dt,
         style=theme.family_styles([line.name for line in lines]),
     )
-    axis = units.axis_name(schedule.outputs[0])
+    axis = theme.axis_name(schedule.outputs[0])
     return _titled(
         picture,
-        f"{name}: {axis} from {units.axis_name(schedule.inputs[0])} over {schedule.parameter}",
+        f"{name}: {axis} from {theme.axis_name(schedule.inputs[0])} over {schedule.parameter}",
     )
 
 
 def _place(schedule: ScheduledSystem, i: int) -> str:
     at = zip(np.atleast_1d(schedule.values[i]).tolist(), schedule.unit.split(AND), strict=True)
-    return ", ".join(units.quantity(value, unit) for value, unit in at)
+    return ", ".join(theme.quantity(value, unit) for value, unit in at)
 
 
 @plot.register
@@ -228,13 +227,13 @@ def _response(response: FrequencyResponse) -> Any:
 @plot.register
 def _measured(measured: Frf) -> Any:
     pairs = list(zip(measured.inputs, measured.outputs, strict=False))[:4]
-    panels = {units.axis_name(output): measured.select(input, output) for input, output in pairs}
+    panels = {theme.axis_name(output): measured.select(input, output) for input, output in pairs}
     return _titled(response_figure(panels, {}), "Measured frequency response")
 
 
 @plot.register
 def _curve(curve: Curve) -> Any:
-    return _titled(figure([(curve.name, curve)]), units.prose(curve.title))
+    return _titled(figure([(curve.name, curve)]), theme.prose(curve.title))
 
 
 @plot.register
@@ -279,7 +278,7 @@ def _sensitivity(points: Sequence[tuple[str, Checks]], verdict: str) -> Any:
             words = f"; unstable at {', '.join(unstable)}" if unstable else ""
             order = [label for label, _ in points]
             return _titled(
-                figure(curves, order=order), f"{units.prose(curves[0][1].title)}: {verdict}{words}"
+                figure(curves, order=order), f"{theme.prose(curves[0][1].title)}: {verdict}{words}"
             )
     raise InvalidInput(
         "the verification has no curves to draw; verify again with nominal.check or robust.check"
@@ -337,7 +336,7 @@ def _seal(fit: SealFit) -> Any:
         return _titled(section.picture, section.title)
     return _titled(
         frequency_figure(fit, averaged(fit)),
-        f"Seal {units.axis_name(fit.seal)}: coefficients over frequency",
+        f"Seal {theme.axis_name(fit.seal)}: coefficients over frequency",
     )
 
 
@@ -353,8 +352,8 @@ def _mu_peak(peak: MuPeak) -> Any:
         "mu", "mu", "frequency", peak.omega, peak.values[None], ("upper bound",), "rad/s", "-"
     )
     words = (
-        f"Structured singular value: upper bound {units.number(peak.upper)}, lower bound "
-        f"{units.number(peak.lower)}"
+        f"Structured singular value: upper bound {theme.number(peak.upper)}, lower bound "
+        f"{theme.number(peak.lower)}"
     )
     return _titled(figure([("upper bound", curve)]), words)
 
@@ -377,7 +376,7 @@ def _mu_bounds(bounds: MuBounds) -> Any:
     picture.update_xaxes(title_text="Number of the matrix")
     picture.update_yaxes(title_text="µ", rangemode="tozero")
     return _titled(
-        picture, f"Structured singular value: at most {units.number(float(np.max(bounds.upper)))}"
+        picture, f"Structured singular value: at most {theme.number(float(np.max(bounds.upper)))}"
     )
 
 
@@ -386,7 +385,7 @@ def _trade_off(result: TradeOff) -> Any:
     """The lowest sensitivity over the requirement; hollow where all else was not met."""
     import plotly.graph_objects as go
 
-    factor, unit = units.scale(result.unit, max(result.values))
+    factor, unit = theme.scale(result.unit, max(result.values))
     x, y = (
         np.array(result.values) * factor,
         np.where(np.isfinite(result.sensitivity), result.sensitivity, np.nan),

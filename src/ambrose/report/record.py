@@ -16,7 +16,6 @@ from ambrose.judge.checks import Curve
 from ambrose.machine.machine import AxialMachine, Machine
 from ambrose.record.record import Record
 from ambrose.report import theme
-from ambrose.report import theme as units
 from ambrose.report.figures.curves import drawn, figure
 from ambrose.report.figures.motion import (
     Station,
@@ -242,7 +241,7 @@ def record_figure(record: Record) -> Any:
     )
     axes = list(dict.fromkeys(_axis(name) for _, names in groups for name in names))
     style = theme.styles(axes)
-    seconds, second = units.seconds_or_milliseconds(float(record.time[-1] - record.time[0]))
+    seconds, second = theme.seconds_or_milliseconds(float(record.time[-1] - record.time[0]))
     named: set[str] = set()
     for row, (title, names) in enumerate(groups, 1):
         _signals_over_time(figure, record, row, title, names, style, seconds, named)
@@ -302,10 +301,10 @@ def _signals_over_time(
 ) -> None:
     unit = record.units[record.signals.index(names[0])]
     time, values = thinned(record.time, record.select(names).values)
-    factor, shown_unit = units.scale(unit, float(np.abs(values).max()))
+    factor, shown_unit = theme.scale(unit, float(np.abs(values).max()))
     for name, line in zip(names, values, strict=True):
         axis = _axis(name)
-        look, label = style[axis], units.axis_name(axis)
+        look, label = style[axis], theme.axis_name(axis)
         theme.scatter(
             figure,
             {"row": row, "col": 1},
@@ -314,7 +313,7 @@ def _signals_over_time(
             label,
             shown=label not in named,
             line={"color": look.colour, "dash": look.dash, "width": 1.4},
-            hovertemplate=f"{theme.plain(units.axis_name(name))}<br>%{{x:.4g}} · %{{y:.4g}} "
+            hovertemplate=f"{theme.plain(theme.axis_name(name))}<br>%{{x:.4g}} · %{{y:.4g}} "
             f"{shown_unit}<extra></extra>",
         )
         named.add(label)
@@ -338,7 +337,7 @@ def _orbit(
     place = {"row": row, "col": column}
     x, y = record[pair[0]], record[pair[1]]
     step = max(1, len(x) // _ORBIT_POINTS)
-    factor, unit = units.scale("m", float(max(np.abs(x).max(), np.abs(y).max())))
+    factor, unit = theme.scale("m", float(max(np.abs(x).max(), np.abs(y).max())))
     theme.scatter(
         figure,
         place,
@@ -347,8 +346,8 @@ def _orbit(
         line={"color": theme.INK, "width": 0.8},
         hovertemplate=f"%{{x:.4g}} · %{{y:.4g}} {unit}<extra></extra>",
     )
-    first, second = (units.axis_name(name.rpartition("_")[2]) for name in pair)
-    words = f"<b>{theme.plain(units.axis_name(station))}</b>, {second} over {first} [{unit}]"
+    first, second = (theme.axis_name(name.rpartition("_")[2]) for name in pair)
+    words = f"<b>{theme.plain(theme.axis_name(station))}</b>, {second} over {first} [{unit}]"
     theme.heading(figure, place, words)
 
 
@@ -395,9 +394,9 @@ def record_verdicts(
     """
     verdicts = []
     if trace is not None:
-        verdicts.append(Verdict("Outcome", trace.passed, units.prose(trace.text)))
+        verdicts.append(Verdict("Outcome", trace.passed, theme.prose(trace.text)))
     elif outcome := dict(record.notes).get("outcome"):
-        verdicts.append(Verdict("Outcome", None, units.prose(outcome)))
+        verdicts.append(Verdict("Outcome", None, theme.prose(outcome)))
     if dict(record.notes).get("complete") == "false":
         verdicts.append(
             Verdict("Record", None, "the run was interrupted; the record ends before its time")
@@ -458,12 +457,12 @@ def _clearance(record: Record, judged: Sequence[Station], first: int | None) -> 
     gap, radius = worst.gap or 1.0, worst.radius[first:]
     share, end = float(radius.max()) / gap, float(radius[-max(1, len(radius) // 20) :].max())
     place = f"sensor {worst.name}" if worst.at_sensor else f"bearing {worst.name}"
-    value, limit = units.pair(float(radius.max()), gap, "m")
+    value, limit = theme.pair(float(radius.max()), gap, "m")
     words = (
         f"largest distance {value} at {place} at t = "
         f"{_moment(record, first + int(radius.argmax()))}, "
     )
-    words += f"{percent(share)} of the gap of {limit}; at the end {units.quantity(end, 'm')}"
+    words += f"{percent(share)} of the gap of {limit}; at the end {theme.quantity(end, 'm')}"
     if first:
         words = (
             f"levitated, within {percent(LEVITATED_WITHIN)} of the gap, since t = "
@@ -496,10 +495,10 @@ def _against(
         return []
     axis = max(shares, key=lambda name: float(shares[name].max()))
     share = shares[axis]
-    peak, limit = units.pair(float(share.max() * by_axis[axis]), float(by_axis[axis]), unit)
+    peak, limit = theme.pair(float(share.max() * by_axis[axis]), float(by_axis[axis]), unit)
     words = "once lifted, " if first else ""
     words += (
-        f"largest {peak} at {units.axis_name(axis)} at t = "
+        f"largest {peak} at {theme.axis_name(axis)} at t = "
         f"{_moment(record, first + int(share.argmax()))}, "
     )
     words += f"{percent(float(share.max()))} of {limit}"
@@ -508,9 +507,9 @@ def _against(
     full = {name: row >= _AT_LIMIT for name, row in shares.items()}
     for name, row in full.items():
         if row.any():
-            seconds = units.quantity(float(row.sum()) / record.sample_rate_hz, "s")
+            seconds = theme.quantity(float(row.sum()) / record.sample_rate_hz, "s")
             words += (
-                f"; at the limit {units.axis_name(name)} for {seconds} ({100 * row.mean():.2g} %)"
+                f"; at the limit {theme.axis_name(name)} for {seconds} ({100 * row.mean():.2g} %)"
             )
     if share.max() > 1 + (1 - _AT_LIMIT):
         return [Verdict(title, False, words)]
@@ -524,7 +523,7 @@ REACHED = "reached its limit and came off it"
 
 
 def _moment(record: Record, sample: int) -> str:
-    return units.quantity(float(record.time[sample]), "s", 4)
+    return theme.quantity(float(record.time[sample]), "s", 4)
 
 
 def signals_table(record: Record) -> Table:
@@ -538,13 +537,13 @@ def signals_table(record: Record) -> Table:
             rows.append((Cell(title, "heading"), "", "", "", "", ""))
         for name in names:
             unit, values = record.units[record.signals.index(name)], record[name]
-            factor, shown_unit = units.scale(unit, float(np.abs(values).max()))
+            factor, shown_unit = theme.scale(unit, float(np.abs(values).max()))
             figures = (values.mean(), values.std(), values.min(), values.max())
             rows.append(
                 (
-                    units.axis_name(name),
+                    theme.axis_name(name),
                     shown_unit,
-                    *numbers(*(units.number(float(value) * factor) for value in figures)),
+                    *numbers(*(theme.number(float(value) * factor) for value in figures)),
                 )
             )
     columns = ("Signal", "Unit", "Mean", "Standard deviation", "Lowest", "Highest")
@@ -698,20 +697,20 @@ def _pressure(record: Record) -> str:
     pressure = (
         record["p_seal"] if "p_seal" in record.signals else np.array([record.point.seal_pressure])
     )
-    ends = [units.quantity(float(value), "Pa") for value in (pressure.min(), pressure.max())]
+    ends = [theme.quantity(float(value), "Pa") for value in (pressure.min(), pressure.max())]
     return " to ".join(dict.fromkeys(ends))
 
 
 def _facts(record: Record, speed: np.ndarray) -> tuple[tuple[str, str], ...]:
     """What the head of the page tells about the record."""
     k = record.values.shape[1]
-    rpm = [units.number(value * units.RPM, 4) for value in (float(speed[0]), float(speed[-1]))]
+    rpm = [theme.number(value * theme.RPM, 4) for value in (float(speed[0]), float(speed[-1]))]
     changes = float(np.ptp(speed)) > 0
-    rate = units.number(record.sample_rate_hz, 6)
+    rate = theme.number(record.sample_rate_hz, 6)
     return (
         (
             "Record",
-            f"{units.number((k - 1) / record.sample_rate_hz, 4)} s at {rate} Hz, "
+            f"{theme.number((k - 1) / record.sample_rate_hz, 4)} s at {rate} Hz, "
             f"{len(record.signals)} signals",
         ),
         ("Operating point", record.point.label),

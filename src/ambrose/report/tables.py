@@ -24,7 +24,7 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import chosen
 from ambrose.machine.part import Part
 from ambrose.machine.validation.parts import unit_and_names
-from ambrose.report import theme as units
+from ambrose.report import theme
 from ambrose.report.page import Cell, Row, Section, Table, Verdict, numbers
 
 _WIDEST = 6  # operating points side by side in one table
@@ -86,18 +86,18 @@ def reason(check: Check) -> str:
         if detail.startswith("at ")
         else f" ({detail})"
     )
-    title = units.prose(
+    title = theme.prose(
         check.title if check.title[:2].isupper() else check.title[:1].lower() + check.title[1:]
     )
     if check.limit is None:
-        return f"{title} {units.quantity(check.value, _unit(check))}{where}"
-    value, limit = units.pair(check.value, check.limit, _unit(check))
+        return f"{title} {theme.quantity(check.value, _unit(check))}{where}"
+    value, limit = theme.pair(check.value, check.limit, _unit(check))
     return f"{title} {value} {_VIOLATED.get(check.relation, '≠')} {limit}{where}"
 
 
 def place(check: Check) -> str:
     """Where a check has its value: the first clause of its detail."""
-    return units.prose(check.detail.split(";")[0].strip().rstrip("."))
+    return theme.prose(check.detail.split(";")[0].strip().rstrip("."))
 
 
 def around(box: Checks) -> str:
@@ -121,14 +121,14 @@ def _unit(check: Check) -> str:
 
 def _value_and_limit(check: Check, *, level: bool = True) -> tuple[str, str]:
     if check.limit is None:
-        value, limit = units.quantity(check.value, _unit(check)), ""
+        value, limit = theme.quantity(check.value, _unit(check)), ""
     else:
-        value, limit = units.pair(check.value, check.limit, _unit(check))
+        value, limit = theme.pair(check.value, check.limit, _unit(check))
         limit = f"{RELATION.get(check.relation, check.relation)} {limit}"
     ratio = check.unit in {"", "-", "1"} and any(
         word in check.name for word in ("sensitivity", "gain_margin")
     )
-    decibel = units.decibel(check.value) if ratio and level else ""
+    decibel = theme.decibel(check.value) if ratio and level else ""
     return value + (f" ({decibel})" if decibel else ""), limit
 
 
@@ -139,7 +139,7 @@ def checks_table(checks: Checks) -> Table:
     rows: list[Row] = []
     for check in checks.checks:
         value, limit = _value_and_limit(check)
-        title, detail = units.prose(check.title), units.prose(check.detail)
+        title, detail = theme.prose(check.title), theme.prose(check.detail)
         marks = {
             None: Cell("information", "muted"),
             True: Cell("pass", "pass"),
@@ -157,9 +157,9 @@ def findings_table(findings: Sequence[Finding]) -> Table:
     """Everything that makes the result doubtful."""
     rows = [
         (
-            Cell(units.prose(finding.what), "fail" if finding.severity == ERROR else "none"),
-            units.prose(finding.evidence),
-            units.prose(finding.remedy),
+            Cell(theme.prose(finding.what), "fail" if finding.severity == ERROR else "none"),
+            theme.prose(finding.evidence),
+            theme.prose(finding.remedy),
         )
         for finding in findings
     ]
@@ -284,7 +284,7 @@ def _overview_table(verifications: Sequence[Checks], names: Sequence[str], part:
         cells = (_overview_cell(check, with_limit=len(limits) > 1) for check in matches)
         rows.append(
             (
-                units.prose(first.title),
+                theme.prose(first.title),
                 Cell(limits.pop() if len(limits) == 1 else "", "number"),
                 *cells,
             )
@@ -429,7 +429,7 @@ def failing_table(verification: Verification) -> Table:
         check = max((check for _, check in found), key=lambda check: check.ratio or check.value)
         at = found[0][0] if len(found) == 1 else f"{len(found)} operating points"
         title, detail = _PLAIN.get(check.name, (check.title, check.detail))
-        where = (units.prose(title), *_value_and_limit(check, level=False), units.prose(detail))
+        where = (theme.prose(title), *_value_and_limit(check, level=False), theme.prose(detail))
         rows.append((at, *where))
     columns = ("at", "requirement", "value", "limit", "found")
     return Table("Not met", columns, tuple(rows), "", (15, 29, 9, 9, 38))
@@ -483,7 +483,7 @@ def deciding_verdict(verification: Verification) -> str:
     label, check = nearest
     value, limit = _value_and_limit(check, level=False)
     title = _PLAIN.get(check.name, (check.title,))[0]
-    title = units.prose(title[:1].lower() + title[1:])
+    title = theme.prose(title[:1].lower() + title[1:])
     which = "Tightest requirement" if check.passed else _FURTHEST.capitalize()
     return f"{words} {which}: {title} {value} (limit {limit.split(' ', 1)[-1]}), {_short(label)}."
 
@@ -493,13 +493,13 @@ def operating_points_table(points: Sequence[OperatingPoint]) -> Table:
     rows: list[Row] = []
     for point in points:
         speed = (
-            f"{units.number(point.speed * units.RPM, 5)} rpm "
-            f"({units.quantity(point.speed, 'rad/s')})"
+            f"{theme.number(point.speed * theme.RPM, 5)} rpm "
+            f"({theme.quantity(point.speed, 'rad/s')})"
         )
         bias = (
-            "machine's" if point.bias_current is None else units.quantity(point.bias_current, "A")
+            "machine's" if point.bias_current is None else theme.quantity(point.bias_current, "A")
         )
-        rows.append((point.label, *numbers(speed, units.quantity(point.seal_pressure, "Pa"), bias)))
+        rows.append((point.label, *numbers(speed, theme.quantity(point.seal_pressure, "Pa"), bias)))
     columns = ("Operating point", "Speed", "Seal pressure difference", "Bias current")
     return Table("Operating points", columns, tuple(rows))
 
@@ -509,8 +509,8 @@ def stations_table(machine: Machine) -> Table:
     rows: list[tuple[float, str, str]] = []
     for bearing in machine.bearings:
         words = [
-            f"bias {units.quantity(bearing.bias_current, 'A')}",
-            f"ζ at {units.quantity(bearing.angle, 'rad')}",
+            f"bias {theme.quantity(bearing.bias_current, 'A')}",
+            f"ζ at {theme.quantity(bearing.angle, 'rad')}",
         ]
         words += _pair_of("kᵢ", bearing.force_per_current, "N/A") + _pair_of(
             "kₛ", bearing.negative_stiffness, "N/m"
@@ -521,7 +521,7 @@ def stations_table(machine: Machine) -> Table:
             ("largest force", bearing.max_force, "N"),
         ]
         words += [
-            f"{name} {units.quantity(value, unit)}"
+            f"{name} {theme.quantity(value, unit)}"
             for name, value, unit in limits
             if value is not None
         ]
@@ -530,22 +530,22 @@ def stations_table(machine: Machine) -> Table:
         lag = (
             "no lag"
             if sensor.bandwidth is None
-            else f"bandwidth {units.quantity(sensor.bandwidth, 'rad/s')}"
+            else f"bandwidth {theme.quantity(sensor.bandwidth, 'rad/s')}"
         )
         words = [*_pair_of("gain", sensor.gain, ""), lag]
-        words += [] if sensor.angle is None else [f"at {units.quantity(sensor.angle, 'rad')}"]
-        words += [] if sensor.weight == 1 else [f"weight {units.number(sensor.weight)}"]
+        words += [] if sensor.angle is None else [f"at {theme.quantity(sensor.angle, 'rad')}"]
+        words += [] if sensor.weight == 1 else [f"weight {theme.number(sensor.weight)}"]
         rows.append((sensor.position, f"sensor {sensor.bearing}", ", ".join(words)))
     for seal in machine.seals:
         values = (
             (c, getattr(seal, c), u)
             for c, u in (("K", "N/m"), ("k", "N/m"), ("C", "N s/m"), ("c", "N s/m"), ("M", "kg"))
         )
-        words = [f"{name} {units.quantity(value, unit)}" for name, value, unit in values if value]
+        words = [f"{name} {theme.quantity(value, unit)}" for name, value, unit in values if value]
         words += (
             []
             if seal.reference_pressure is None
-            else [f"at {units.quantity(seal.reference_pressure, 'Pa')}"]
+            else [f"at {theme.quantity(seal.reference_pressure, 'Pa')}"]
         )
         words += [] if seal.table is None else ["coefficients from a table"]
         words += [] if seal.geometry is None else ["coefficients from its geometry"]
@@ -571,7 +571,7 @@ def stations_table(machine: Machine) -> Table:
             ("damping", support.damping, "N s/m"),
         )
         words = [
-            f"{name} {' and '.join(units.quantity(v, u) for v in dict.fromkeys(pair))}"
+            f"{name} {' and '.join(theme.quantity(v, u) for v in dict.fromkeys(pair))}"
             for name, pair, u in pairs
         ]
         words += [f"with seal {name}" for name in support.seals] + ["sensors on the ground"] * (
@@ -581,23 +581,23 @@ def stations_table(machine: Machine) -> Table:
     for disc in machine.discs:
         inertias = (("polar", disc.polar_inertia), ("diametral", disc.diametral_inertia))
         words = [
-            f"{name} inertia {units.quantity(value, 'kg m2')}" for name, value in inertias if value
+            f"{name} inertia {theme.quantity(value, 'kg m2')}" for name, value in inertias if value
         ]
         rows.append(
             (
                 disc.position,
-                units.axis_name(disc.name),
-                ", ".join([f"mass {units.quantity(disc.mass, 'kg')}", *words]),
+                theme.axis_name(disc.name),
+                ", ".join([f"mass {theme.quantity(disc.mass, 'kg')}", *words]),
             )
         )
     cells = tuple(
-        (what, Cell(units.number(x * 1e3, 4), "number"), text) for x, what, text in sorted(rows)
+        (what, Cell(theme.number(x * 1e3, 4), "number"), text) for x, what, text in sorted(rows)
     )
     return Table("Stations", ("Station", "Position [mm]", "Data"), cells)
 
 
 def _titled(kind: str, name: str) -> str:
-    return name if name.lower() == kind else f"{kind} {units.axis_name(name)}"
+    return name if name.lower() == kind else f"{kind} {theme.axis_name(name)}"
 
 
 def _figures_of(part: Part) -> list[str]:
@@ -616,7 +616,7 @@ def _figures_of(part: Part) -> list[str]:
         if pair and all(isinstance(number, float) for number in numbers):
             words += _pair_of(name, numbers, unit, names)
         elif isinstance(value, float) and key not in {"position", "angle"}:
-            words.append(f"{name} {units.quantity(value, unit)}")
+            words.append(f"{name} {theme.quantity(value, unit)}")
         elif isinstance(value, tuple):
             words.append(f"{name} at {len(value)} points")
     return words
@@ -629,7 +629,7 @@ def _pair_of(
     if values is None:
         return []
     if math.isclose(*values, rel_tol=1e-12):
-        return [f"{name} {units.quantity(values[0], unit)}"]
+        return [f"{name} {theme.quantity(values[0], unit)}"]
     first, second = ("ζ", "η") if len(names) != 2 or names[0] == "zeta" else names
-    one, other = (units.quantity(value, unit) for value in values)
+    one, other = (theme.quantity(value, unit) for value in values)
     return [f"{name} {one} ({first}), {other} ({second})"]

@@ -17,7 +17,6 @@ from ambrose.law.loop import DEFAULT, STATE_RATE, timing_in_words
 from ambrose.machine.machine import Machine
 from ambrose.options import Verifying
 from ambrose.report import tables, theme
-from ambrose.report import theme as units
 from ambrose.report.figures.curves import drawn, figure
 from ambrose.report.figures.rotor_drawing import machine_drawing
 from ambrose.report.page import Figure, Page, Row, Section, Table, Verdict, numbers
@@ -185,7 +184,7 @@ def curve_figures(
         same = [(label, curve) for label, curve in curves if curve.name == name]
         words = "" if overlay else caption(same[0][1])
         figures.append(
-            Figure(units.prose(same[0][1].title), figure(same, order=order, overlay=overlay), words)
+            Figure(theme.prose(same[0][1].title), figure(same, order=order, overlay=overlay), words)
         )
     return tuple(figures)
 
@@ -269,7 +268,7 @@ def synchronous_figure(blocks: Sequence[Checks]) -> Any:
         place = {"row": k, "col": 1}
         curves = [curve for block in blocks if (curve := _curve(block, name)) is not None]
         largest = max(float(np.nanmax(np.abs(curve.y))) for curve in curves)
-        factor, unit = units.scale(curves[0].y_unit, largest)
+        factor, unit = theme.scale(curves[0].y_unit, largest)
         for curve in curves:
             _draw(figure, place, curve, factor, unit, style, in_legend)
         # zero is part of every picture: what falls is seen against it
@@ -294,7 +293,7 @@ def _draw(
     in_legend: set[str],
 ) -> None:
     """The lines of one block, and its limit."""
-    x = drawn(curve.x / units.TWO_PI)
+    x = drawn(curve.x / theme.TWO_PI)
     for label, values in zip(curve.labels, curve.y, strict=True):
         look = style[label]
         words = theme.plain(label)
@@ -312,7 +311,7 @@ def _draw(
         in_legend.add(label)
     for words, level in curve.limits:
         if level > 0:
-            ends = np.array([curve.x[0], curve.x[-1]]) / units.TWO_PI
+            ends = np.array([curve.x[0], curve.x[-1]]) / theme.TWO_PI
             line = np.full(2, level * factor)
             theme.guide(
                 figure,
@@ -441,7 +440,7 @@ def exploration_page(exploration: Exploration, *, date: str = "") -> Page:
         ]
         sections.append(Section("Modes over speed", _CAMPBELL, tuple(pictures)))
     if exploration.pulses is not None:
-        caption = _PULSES.format(port=units.axis_name(exploration.port))
+        caption = _PULSES.format(port=theme.axis_name(exploration.port))
         picture = pulse_picture(exploration.pulses)
         sections.append(
             Section(
@@ -473,7 +472,7 @@ def exploration_page(exploration: Exploration, *, date: str = "") -> Page:
     facts = (
         ("Operating point", exploration.point.label),
         ("Loop", timing_in_words(exploration.timing)),
-        ("How", units.prose(tables.capitalised(exploration.notes, ". ", ""))),
+        ("How", theme.prose(tables.capitalised(exploration.notes, ". ", ""))),
     )
     verdicts.insert(
         0, Verdict("Operating points", _all(exploration.standing), describe(exploration.standing))
@@ -516,7 +515,7 @@ def _words(item: PoleMap) -> str:
     if not item.ends:
         return f"{'everywhere' if item.stable.all() else 'nowhere'} on the map"
     parts = [
-        f"{'gains' if above else 'loses'} stability at {units.quantity(at, item.unit, 4)}"
+        f"{'gains' if above else 'loses'} stability at {theme.quantity(at, item.unit, 4)}"
         for at, above in item.ends
     ]
     return ", ".join(parts)
@@ -533,8 +532,8 @@ def _ends(item: PoleMap) -> Table:
     ):
         verdict = "stable" if stable else "unstable"
         cells = (
-            units.quantity(value, item.unit, 4),
-            units.quantity(real, "1/s"),
+            theme.quantity(value, item.unit, 4),
+            theme.quantity(real, "1/s"),
             f"{100 * ratio:.3g} %",
         )
         rows.append((*numbers(*cells), verdict))
@@ -545,9 +544,9 @@ def _ends(item: PoleMap) -> Table:
 def pole_picture(item: PoleMap) -> Any:
     """The poles coloured by value, and the largest real part over the value."""
     picture = theme.subplots(rows=1, cols=2, column_widths=[0.58, 0.42], horizontal_spacing=0.16)
-    factor, unit = units.scale(item.unit, float(item.values.max()))
+    factor, unit = theme.scale(item.unit, float(item.values.max()))
     x = np.concatenate([p.real for p in item.poles])
-    y = np.concatenate([p.imag for p in item.poles]) / units.TWO_PI
+    y = np.concatenate([p.imag for p in item.poles]) / theme.TWO_PI
     shade = np.concatenate(
         [np.full(len(p), v * factor) for p, v in zip(item.poles, item.values, strict=True)]
     )
@@ -606,7 +605,7 @@ def pulse_picture(family: PulseFamily) -> Any:
     last.
     """
     count, columns = len(family.outputs), 2
-    titles = [f"<b>{theme.plain(units.axis_name(name))}</b>" for name in family.outputs]
+    titles = [f"<b>{theme.plain(theme.axis_name(name))}</b>" for name in family.outputs]
     rows = -(-count // columns)
     picture = theme.subplots(
         rows=rows,
@@ -620,7 +619,7 @@ def pulse_picture(family: PulseFamily) -> Any:
     last = int(np.argmax(np.where(family.stable, tail, -1.0)))
     for i, name in enumerate(family.outputs):
         place, in_legend = {"row": i // columns + 1, "col": i % columns + 1}, i == 0
-        factor, unit = units.scale(
+        factor, unit = theme.scale(
             "m" if name.startswith("q") else "A", float(np.abs(family.responses[0, i]).max())
         )
         if len(stable):
@@ -645,8 +644,8 @@ def pulse_picture(family: PulseFamily) -> Any:
 def unbalance_picture(curve: BoxUnbalance, limit: float | None) -> Any:
     """Orbits over speed: nominal, worst found, upper bound."""
     picture = theme.subplots(rows=1, cols=1)
-    factor, unit = units.scale("m", float(curve.found.max()))
-    x = curve.speeds * units.RPM
+    factor, unit = theme.scale("m", float(curve.found.max()))
+    x = curve.speeds * theme.RPM
     rows = [("nominal", curve.nominal), ("worst found over the tolerances", curve.found)]
     if not np.isnan(curve.bound).any():
         rows.append(("upper bound", curve.bound))

@@ -20,9 +20,8 @@ from ambrose.code.block.run import (
     LIMITED,
     TOLD,
     follow_told,
-    make_scheduled_vectors,
-    run_block,
-    run_scheduled,
+    run_of,
+    vectors_of,
 )
 from ambrose.code.block.scheduled import bound_motion
 from ambrose.code.sampled import deploy, deploy_scheduled
@@ -64,9 +63,9 @@ def apart(found, expected):
 def test_at_a_grid_point_it_is_the_fixed_block_of_that_point(block, speed):
     fixed = build_block(deploy(small_schedule().at(speed), DT, DT, force=True), "k", ERROR, CURRENT)
     e = quiet(block)
-    run = run_scheduled(block, e, np.full(len(e), speed))
+    run = run_of(block, e, np.full(len(e), speed))
     assert not run.status.any()
-    assert apart(run.currents, run_block(fixed, e).currents) < 1e-11
+    assert apart(run.currents, run_of(fixed, e).currents) < 1e-11
     K = c2d(small_schedule().at(speed), DT, "tustin")
     _, dense, _ = scipy.signal.dlsim((K.A, K.B, K.C, K.D, DT), e)
     assert apart(run.currents, dense) < 1e-11
@@ -77,15 +76,15 @@ def test_between_it_is_the_sampled_matrices_in_between(block, speed):
     sampled = deploy_scheduled(small_schedule(), DT, DT, force=True).sampled
     fixed = build_block(deploy(sampled.at(speed), DT, DT, force=True), "k", ERROR, CURRENT)
     e = quiet(block)
-    run = run_scheduled(block, e, np.full(len(e), speed))
-    assert apart(run.currents, run_block(fixed, e).currents) < 1e-10
+    run = run_of(block, e, np.full(len(e), speed))
+    assert apart(run.currents, run_of(fixed, e).currents) < 1e-10
 
 
 def test_along_a_sweep_it_is_the_time_varying_system(block):
     """Against the plain recursion with the frozen system of every sample."""
     e = quiet(block)
     v = np.linspace(GRID[0], GRID[-1], len(e))
-    run = run_scheduled(block, e, v)
+    run = run_of(block, e, v)
     x, expected = np.zeros(3), []
     for row, speed in zip(e, v, strict=True):
         K = block.at(speed)
@@ -100,7 +99,7 @@ def test_it_is_continuous_at_the_grid_points(block):
     e = quiet(block, 400)
     for speed in GRID[1:-1]:
         below, at, above = (
-            run_scheduled(block, e, np.full(400, v)).currents
+            run_of(block, e, np.full(400, v)).currents
             for v in (np.nextafter(speed, 0), speed, np.nextafter(speed, 1e4))
         )
         assert apart(below, at) < 1e-12
@@ -123,9 +122,9 @@ def test_how_far_it_is_from_the_sampled_interpolation():
 def test_outside_the_range_it_is_the_end_of_it(block):
     e = quiet(block, 300)
     for beyond, end in ((99.0, 100.0), (-50.0, 100.0), (601.0, 600.0), (1200.0, 600.0)):
-        run = run_scheduled(block, e, np.full(300, beyond))
+        run = run_of(block, e, np.full(300, beyond))
         assert (run.status == CLAMPED).all()
-        assert (run.currents == run_scheduled(block, e, np.full(300, end)).currents).all()
+        assert (run.currents == run_of(block, e, np.full(300, end)).currents).all()
 
 
 def test_a_missing_speed_is_held_then_a_fault():
@@ -133,10 +132,10 @@ def test_a_missing_speed_is_held_then_a_fault():
     e = quiet(block, 12)
     v = np.full(12, 400.0)
     v[4:10] = [np.nan, np.inf, 1201.0, np.nan, -np.inf, 1e300]
-    run = run_scheduled(block, e, v)
+    run = run_of(block, e, v)
     assert run.status.tolist() == [0] * 4 + [HELD | TOLD] * 3 + [HELD | TOLD | FAULT] * 3 + [0] * 2
-    assert (run.currents == run_scheduled(block, e, np.full(12, 400.0)).currents).all()
-    blind = run_scheduled(block, e, np.full(12, np.nan))
+    assert (run.currents == run_of(block, e, np.full(12, 400.0)).currents).all()
+    blind = run_of(block, e, np.full(12, np.nan))
     assert (blind.schedule == GRID[0]).all()
     assert blind.status[-1] == HELD | TOLD | FAULT
 
@@ -166,7 +165,7 @@ def test_states_stay_within_one_at_frozen_speeds(block):
     for speed in (*GRID, 130.0, 270.0, 500.0):
         frozen = build_block(deploy(block.at(speed), DT, DT, force=True), "k", ERROR, CURRENT)
         e, valid = driver.adversarial(frozen, 2000, seed=int(speed))
-        run = run_scheduled(block, e, np.full(len(e), speed), valid)
+        run = run_of(block, e, np.full(len(e), speed), valid)
         worst = max(worst, run.largest.max())
     assert 0.1 < worst <= 1
 
@@ -175,7 +174,7 @@ def test_states_stay_within_their_proved_bound_while_the_speed_jumps(block):
     assert block.motion.proved
     rng = np.random.default_rng(4)
     e = block.error_limit * rng.choice([-1.0, 1.0], (200, 2))
-    run = run_scheduled(block, np.repeat(e, 50, axis=0), rng.choice(GRID, 10_000))
+    run = run_of(block, np.repeat(e, 50, axis=0), rng.choice(GRID, 10_000))
     assert ((run.status & LIMITED) > 0).mean() > 0.3
     assert (run.largest <= block.motion.states).all()
 
@@ -224,8 +223,8 @@ def test_the_integrator_does_not_wind_up():
     block = block_of(two_states())
     e = np.concatenate([np.full((6000, 1), ERROR), np.full((1000, 1), -1e-5)])
     v = np.linspace(GRID[0], GRID[-1], len(e))
-    limited = (run_scheduled(block, e, v).status & LIMITED) > 0
-    naive = (run_scheduled(replace(block, unwind=0 * block.unwind), e, v).status & LIMITED) > 0
+    limited = (run_of(block, e, v).status & LIMITED) > 0
+    naive = (run_of(replace(block, unwind=0 * block.unwind), e, v).status & LIMITED) > 0
     assert limited[2000:6000].all()
     assert not limited[6000 + 100 :].any()
     assert naive[6000:].all()
@@ -238,9 +237,7 @@ def test_transfer_is_planned_where_it_converges(block):
 
 
 def test_vectors_meet_every_branch(block):
-    status = np.bitwise_or.reduce(
-        make_scheduled_vectors(block_of(small_schedule(), rate_limit=1e4)).status
-    )
+    status = np.bitwise_or.reduce(vectors_of(block_of(small_schedule(), rate_limit=1e4)).status)
     assert status == HELD | FAULT | LIMITED | CLAMPED | TOLD | BEHIND
 
 
@@ -248,7 +245,7 @@ def test_states_decay_to_zero(block):
     e = np.zeros((12_000, 2))
     e[0] = ERROR
     fast = replace(block, increment=block.increment - 0.05 * np.eye(3))
-    assert (run_scheduled(fast, e, np.full(len(e), 200.0)).states == 0).all()
+    assert (run_of(fast, e, np.full(len(e), 200.0)).states == 0).all()
 
 
 def test_an_unstable_point_is_refused():
@@ -284,9 +281,9 @@ def test_settings_that_mean_nothing(settings, message):
 
 def test_shapes_are_checked(block):
     with pytest.raises(InvalidInput, match="shape of errors"):
-        run_scheduled(block, np.zeros((3, 1)), np.zeros(3))
-    with pytest.raises(InvalidInput, match="shape of speeds"):
-        run_scheduled(block, np.zeros((3, 2)), np.zeros(4))
+        run_of(block, np.zeros((3, 1)), np.zeros(3))
+    with pytest.raises(InvalidInput, match=r"shape of what is told \(speed\)"):
+        run_of(block, np.zeros((3, 2)), np.zeros(4))
 
 
 def test_grid_points_that_single_precision_cannot_tell_apart():

@@ -16,10 +16,10 @@ from ambrose.code.block.cascade import (
     _from_signals,
     _gains,
     build_cascade,
-    cascade_error,
-    to_fixed_cascade,
+    floating_error,
+    in_words,
 )
-from ambrose.code.block.run import LIMITED, run_block, run_fixed_cascade
+from ambrose.code.block.run import LIMITED, run_of
 from ambrose.code.c.code import generate
 from ambrose.code.c.compiled import CompiledBlock, read_law
 from ambrose.code.pipeline import export
@@ -73,7 +73,7 @@ def test_sections_run_as_the_modal_form(blocks):
     """Limits, anti-windup and transfer included; the bounds hold and are no guess."""
     block, modal = blocks
     e, valid = driver.adversarial(modal, 3000)
-    found, expected = run_block(block, e, valid), run_block(modal, e, valid)
+    found, expected = run_of(block, e, valid=valid), run_of(modal, e, valid=valid)
     assert np.abs(found.currents - expected.currents).max() <= 1e-9
     assert (found.status == expected.status).all()
     assert 0.1 < ((found.status & LIMITED) > 0).mean() < 0.95
@@ -100,9 +100,7 @@ def test_sections_against_scipy():
     y = e[:, 0]
     for b, a in analog:
         y = scipy.signal.lfilter(*scipy.signal.bilinear(b, a, 1 / DT), y)
-    assert (
-        np.abs(run_block(block, e).currents[:, 0] - 20e3 * y).max() <= 1e-9 * np.abs(20e3 * y).max()
-    )
+    assert np.abs(run_of(block, e).currents[:, 0] - 20e3 * y).max() <= 1e-9 * np.abs(20e3 * y).max()
 
 
 def test_prewarping_reaches_the_sections():
@@ -110,9 +108,9 @@ def test_prewarping_reaches_the_sections():
     plain, _ = both()
     e = np.zeros((50, 4))
     e[0] = 1e-7
-    found = run_block(block, e).currents
-    assert np.abs(found - run_block(modal, e).currents).max() < 1e-12
-    assert np.abs(found - run_block(plain, e).currents).max() > 1e-8
+    found = run_of(block, e).currents
+    assert np.abs(found - run_of(modal, e).currents).max() < 1e-12
+    assert np.abs(found - run_of(plain, e).currents).max() > 1e-8
 
 
 @compiler
@@ -136,14 +134,14 @@ def test_code_agrees_with_python(blocks, arithmetic, tmp_path):
         block, arithmetic, tmp_path / "c", driver.compilers()[0], largest_error=0.1
     )
     if "fixed" in arithmetic:
-        fixed = to_fixed_cascade(block, int(arithmetic[5:]), 0.1)
+        fixed = in_words(block, int(arithmetic[5:]), 0.1)
         words = np.nan_to_num(np.clip(e, -1, 1) / block.error_limit) * 2**fixed.signal_bits
         e = np.clip(
             np.round(words), 1 - 2.0 ** (fixed.word - 1), 2.0 ** (fixed.word - 1) - 1
         ).astype(np.int64)
-        expected = run_fixed_cascade(fixed, e, valid)
+        expected = run_of(fixed, e, valid=valid)
     else:
-        expected = run_block(block, e, valid)
+        expected = run_of(block, e, valid=valid)
     found, status = driver.replay(program, arithmetic, e, valid)
     allowed = {"double": 1e-12 * block.raw_limit, "float": np.full(4, 1e-3 * CURRENT)}.get(
         arithmetic, 0
@@ -216,13 +214,13 @@ def test_rounding_is_predicted(coordinates, word, error):
     numbers.
     """
     block, _ = both(coordinates, error)
-    fixed = to_fixed_cascade(block, word)
+    fixed = in_words(block, word)
     counts = np.rint(
         np.random.default_rng(2).uniform(-0.01, 0.01, (1200, 4)) * 2**fixed.signal_bits
     ).astype(np.int64)
-    run = run_fixed_cascade(fixed, counts)
+    run = run_of(fixed, counts)
     assert not run.status.any()
-    exact = run_block(quantised(fixed), counts * block.error_limit / 2**fixed.signal_bits)
+    exact = run_of(quantised(fixed), counts * block.error_limit / 2**fixed.signal_bits)
     off = run.currents * block.current_limit / 2.0**fixed.signal_bits - exact.currents
     assert np.sqrt((off**2).mean(axis=0)) == pytest.approx(fixed.noise, rel=0.12)
     assert (np.abs(off).max(axis=0) <= fixed.error).all()
@@ -267,9 +265,9 @@ def test_an_integrator_loses_nothing_in_sixteen_bits():
     """Thousands of samples of one count: the integral is all there, whatever the shifts cut off."""
     slow = PidSettings(channels=(Channel(MACHINE.axes, 2e3, (Section("pid", 0.5),)),))
     block, _ = both(bank=slow, error=1e-4)
-    fixed = to_fixed_cascade(block, 16)
+    fixed = in_words(block, 16)
     count = 4000
-    run = run_fixed_cascade(fixed, np.ones((count, 4), np.int64))
+    run = run_of(fixed, np.ones((count, 4), np.int64))
     step = 1e-4 / 2**14 * 2e3  # A
     assert run.currents[-1] * CURRENT / 2**14 == pytest.approx(
         np.full(4, step * (1 + count * DT / 0.5)), rel=0.02, abs=CURRENT / 2**14
@@ -310,7 +308,7 @@ def test_sections_that_do_nothing_or_cannot_be_seen(gain):
         )
     )
     e = np.random.default_rng(4).uniform(-1e-5, 1e-5, (200, 4))
-    assert np.abs(run_block(block, e).currents - run_block(modal, e).currents).max() < 1e-12
+    assert np.abs(run_of(block, e).currents - run_of(modal, e).currents).max() < 1e-12
 
 
 @pytest.mark.parametrize(
@@ -347,9 +345,9 @@ def test_refusals_say_what_to_do():
     with pytest.raises(
         InvalidInput, match=r"rounding noise of u_A_\w+ .* narrow error_limit to (\S+) m"
     ) as refused:
-        to_fixed_cascade(block, 16)
+        in_words(block, 16)
     narrow = float(str(refused.value).partition("error_limit to ")[2].partition(" m")[0])
-    assert to_fixed_cascade(both(error=narrow)[0], 16).noise.max() <= 1e-3 * CURRENT
+    assert in_words(both(error=narrow)[0], 16).noise.max() <= 1e-3 * CURRENT
     with pytest.raises(
         InvalidInput, match="form is given, but must be left out with the target st; it goes with c"
     ):
@@ -370,10 +368,10 @@ def test_bound_on_floating_point():
         ),
         out=block.out.astype(np.float32).astype(float),
     )
-    off = np.abs(run_block(single, e).currents - run_block(block, e).currents).max(axis=0)
+    off = np.abs(run_of(single, e).currents - run_of(block, e).currents).max(axis=0)
     share = 2e-6 / block.error_limit.max()
-    assert (off <= share * cascade_error(block, 24, 1000)).all()
-    assert (off > 1e-4 * share * cascade_error(block, 24, 1000)).all()
+    assert (off <= share * floating_error(block, 24, 1000)).all()
+    assert (off > 1e-4 * share * floating_error(block, 24, 1000)).all()
 
 
 TURNED = replace(

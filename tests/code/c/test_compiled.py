@@ -10,7 +10,7 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.code.block.block import build_block
-from ambrose.code.block.run import run_block
+from ambrose.code.block.run import run_of
 from ambrose.code.c.compiled import CompiledBlock, read_law
 from ambrose.code.pipeline import machine_limits, unverified_block
 from ambrose.code.sampled import deploy
@@ -133,7 +133,7 @@ def test_limited_currents_and_recovery_are_those_of_the_block(rig):
     code = CompiledBlock(tight)
     errors = 4e-5 * np.sin(0.05 * np.arange(600))[:, None] * np.ones(4)
     errors[300:] = 0.0
-    meant = run_block(tight, errors)
+    meant = run_of(tight, errors)
     assert (meant.status & 4).sum() > 50
     found = code.run(errors)
     assert np.abs(found - meant.currents).max() <= 1e-12 * np.abs(meant.currents).max()

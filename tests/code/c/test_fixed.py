@@ -15,8 +15,8 @@ import code_driver as driver
 import example_blocks as example
 from ambrose import StateSpace, load_machine
 from ambrose.code.block.block import build_block
-from ambrose.code.block.fixed_point import floating_error, to_fixed_point, word_lengths
-from ambrose.code.block.run import FAULT, HELD, LIMITED, run_block, run_fixed
+from ambrose.code.block.fixed_point import floating_error, in_words, word_lengths
+from ambrose.code.block.run import FAULT, HELD, LIMITED, run_of
 from ambrose.code.c.code import generate, write_code
 from ambrose.code.sampled import deploy
 from ambrose.core.checks import InvalidInput, UnstableSystem
@@ -68,7 +68,7 @@ def small_block(**settings):
 def test_double_agrees_with_python(blocks, method, tmp_path):
     block = blocks[method]
     e, valid = driver.adversarial(block, SAMPLES)
-    expected = run_block(block, e, valid)
+    expected = run_of(block, e, valid=valid)
     found, status = driver.replay(
         driver.compiled(block, "double", tmp_path / "c", "gcc"), "double", e, valid
     )
@@ -88,7 +88,7 @@ def test_single_precision_stays_within_its_bounds(blocks, method, tmp_path):
         e, valid = driver.adversarial(block, SAMPLES // 2)
         e = e.astype(np.float32).astype(float)
     program = driver.compiled(block, "float", tmp_path / "c", "gcc")
-    expected = run_block(block, e, valid)
+    expected = run_of(block, e, valid=valid)
     found, status = driver.replay(program, "float", e, valid)
     # stated in docs/reference/c-code.md; limiting included
     assert np.abs(found - expected.currents).max() <= 1e-4 * CURRENT
@@ -100,7 +100,7 @@ def test_single_precision_stays_within_its_bounds(blocks, method, tmp_path):
     # no limiting: the bound, which grows with the signals, holds
     share = 0.9 * CURRENT / block.raw_limit.max()
     e = np.where(np.abs(e) <= block.error_limit, e * share, 0.0).astype(np.float32).astype(float)
-    expected = run_block(block, e)
+    expected = run_of(block, e)
     found, status = driver.replay(program, "float", e)
     assert not status.any()
     assert (
@@ -112,7 +112,7 @@ def test_single_precision_stays_within_its_bounds(blocks, method, tmp_path):
 @each
 def test_fixed_point_is_the_integer_model_bit_by_bit(blocks, method, tmp_path):
     block = blocks[method]
-    fixed = to_fixed_point(block)
+    fixed = in_words(block)
     e, valid = driver.adversarial(block, SAMPLES // (3 if method == "mu" else 10))
     one = 1 << fixed.signal_bits
     with np.errstate(all="ignore"):
@@ -120,16 +120,16 @@ def test_fixed_point_is_the_integer_model_bit_by_bit(blocks, method, tmp_path):
             np.clip(np.round(e / ERROR * one), -(2**31), 2**31 - 1), nan=2**31 - 1
         ).astype(np.int64)
     program = driver.compiled(block, "fixed32", tmp_path / "c", "gcc")
-    expected = run_fixed(fixed, words, valid)
+    expected = run_of(fixed, words, valid=valid)
     found, status = driver.replay(program, "fixed32", words, valid)
     assert (found == expected.currents).all()
     assert (status == expected.status).all()
-    exact = run_block(block, words / one * ERROR, valid)
+    exact = run_of(block, words / one * ERROR, valid=valid)
     # stated; limiting included
     assert np.abs(found / one * CURRENT - exact.currents).max() <= 1e-4 * CURRENT
     words = np.where(np.abs(words) <= one, words, 0) * 0.9 * CURRENT // block.raw_limit.max()
     found, status = driver.replay(program, "fixed32", words.astype(np.int64))
-    exact = run_block(block, words / one * ERROR)
+    exact = run_of(block, words / one * ERROR)
     assert not status.any()
     assert (np.abs(found / one * CURRENT - exact.currents).max(axis=0) <= fixed.error).all()
 
@@ -243,7 +243,7 @@ def test_held_input_and_fault(tmp_path):
         driver.compiled(block, "double", tmp_path / "c", "gcc"), "double", e, outputs=1
     )
     assert status.tolist() == [0] * 4 + [HELD] * 3 + [HELD | FAULT] * 3 + [0] * 2
-    steady = run_block(block, np.full((12, 2), 1e-4)).currents
+    steady = run_of(block, np.full((12, 2), 1e-4)).currents
     assert np.abs(found - steady).max() <= 1e-13
 
 
@@ -253,8 +253,8 @@ def test_integrators_do_not_wind_up(blocks):
     """
     block = blocks["pid"]
     e = np.concatenate([np.full((20_000, 4), 3e-4), np.full((2000, 4), -2e-6)])
-    limited = (run_block(block, e).status & LIMITED) > 0
-    naive = (run_block(replace(block, unwind=0 * block.unwind), e).status & LIMITED) > 0
+    limited = (run_of(block, e).status & LIMITED) > 0
+    naive = (run_of(replace(block, unwind=0 * block.unwind), e).status & LIMITED) > 0
     assert limited[:20_000].all()
     assert not limited[20_000 + 100 :].any()
     assert naive[20_000:].all()
@@ -264,7 +264,7 @@ def test_states_decay_to_zero_not_to_denormal_numbers():
     block = small_block()
     e = np.zeros((60_000, 2))
     e[0] = 1e-3
-    x = run_block(block, e).states
+    x = run_of(block, e).states
     assert (x[block.winding :] == 0).all()
 
 
@@ -281,7 +281,7 @@ def test_16_bits_refused_where_rounding_is_too_large(blocks):
     with pytest.raises(
         InvalidInput, match=r"rounding error of u_\w+ with words of 16 bits is .* of its limit"
     ):
-        to_fixed_point(blocks["mu"], 16)
+        in_words(blocks["mu"], 16)
 
 
 def test_fixed_point_that_overflows_is_refused(controllers):
@@ -289,7 +289,7 @@ def test_fixed_point_that_overflows_is_refused(controllers):
     with pytest.raises(
         InvalidInput, match=r"fixed point overflows: an output adds up to .* words of 32 bits"
     ):
-        to_fixed_point(block, 16)
+        in_words(block, 16)
 
 
 def test_a_state_without_bound_is_refused():

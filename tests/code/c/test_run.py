@@ -13,13 +13,13 @@ from benchmarks.compiled_synchronous import CompiledRun
 from ambrose import StateSpace, load_machine
 from ambrose.code.block.block import build_block
 from ambrose.code.block.cascade import build_cascade
-from ambrose.code.block.run import run_block, run_scheduled, run_supervised
+from ambrose.code.block.fixed_point import in_words
+from ambrose.code.block.run import run_of
 from ambrose.code.block.scheduled import supervise
-from ambrose.code.c.code import in_words
 from ambrose.code.c.compiled import find_compiler
 from ambrose.code.c.synchronous import generate_run
 from ambrose.code.sampled import deploy
-from ambrose.code.synchronous import RunUnit, in_order, run_unit, run_unit_words
+from ambrose.code.synchronous import RunUnit, in_order, run_unit
 from ambrose.core.checks import InvalidInput
 from ambrose.law.pid import pid_controller
 from ambrose.law.supervision import Limits
@@ -147,8 +147,7 @@ def test_blocks_that_are_off_leave_the_controller_bit_by_bit(kind):
     _, errors, told, valid, contact, _ = (x[1600:] if x is not None else x for x in record(kind))
     off = run_unit(unit, np.full(N - 1600, -1.0), errors, told, valid, contact)
     assert not off.c.any()
-    alone = {"scheduled": run_scheduled, "supervised": run_supervised}.get(kind)
-    alone = alone(unit.base, errors, told, valid) if alone else run_block(unit.base, errors, valid)
+    alone = run_of(unit.base, errors, told, valid)
     assert np.array_equal(off.currents, alone.currents)
     assert np.array_equal(off.status, alone.status)
 
@@ -186,7 +185,8 @@ def counts_of(kind, word):
 @cache
 def fixed_of(kind, word):
     unit = unit_of(kind)
-    return run_unit_words(unit, in_words(unit.base, word), *counts_of(kind, word))
+    pulses, errors, *rest = counts_of(kind, word)
+    return run_unit(unit, pulses, errors, None, *rest, fixed=in_words(unit.base, word))
 
 
 @compiled

@@ -20,8 +20,7 @@ from ambrose.code.block.run import (
     HELD,
     LIMITED,
     TOLD,
-    run_scheduled,
-    scheduled_cost,
+    run_of,
 )
 from ambrose.code.c.code import generate, write_code
 from ambrose.code.sampled import deploy
@@ -68,7 +67,7 @@ def test_double_agrees_with_python(make, rate, tmp_path):
     block = block_of(make(), rate_limit=rate)
     count = SAMPLES if make is small_schedule and rate else SAMPLES // 10
     e, valid, v = adversarial(block, count)
-    expected = run_scheduled(block, e, v, valid)
+    expected = run_of(block, e, v, valid)
     found, status = replay(
         driver.compiled(block, "double", tmp_path / "c", "gcc"),
         "double",
@@ -88,7 +87,7 @@ def test_double_agrees_with_python(make, rate, tmp_path):
 def test_clang_agrees_with_python(tmp_path):
     block = block_of(small_schedule(), rate_limit=5e4)
     e, valid, v = adversarial(block, SAMPLES // 10, seed=1)
-    expected = run_scheduled(block, e, v, valid)
+    expected = run_of(block, e, v, valid)
     for flags in (None, ["-O3"]):
         found, status = replay(
             driver.compiled(block, "double", tmp_path / "c", "clang", flags), "double", e, v, valid
@@ -103,7 +102,7 @@ def test_single_precision_stays_close(tmp_path):
     with np.errstate(all="ignore"):
         e, valid, v = adversarial(block, SAMPLES // 5)
         e, v = e.astype(np.float32).astype(float), v.astype(np.float32).astype(float)
-    expected = run_scheduled(block, e, v, valid)
+    expected = run_of(block, e, v, valid)
     found, status = replay(
         driver.compiled(block, "float", tmp_path / "c", "gcc"), "float", e, v, valid
     )
@@ -127,7 +126,7 @@ def test_a_block_as_large_as_the_machines(tmp_path):
     schedule = ScheduledSystem([100.0, 250.0, 600.0], systems)
     block = block_of(schedule)
     e, valid, v = adversarial(block, SAMPLES // 10)
-    expected = run_scheduled(block, e, v, valid)
+    expected = run_of(block, e, v, valid)
     found, status = replay(
         driver.compiled(block, "double", tmp_path / "c", "gcc"), "double", e, v, valid, outputs=4
     )
@@ -257,7 +256,7 @@ def test_reset_forgets_the_states_and_not_the_speed(tmp_path):
     v = np.array([300.0, 300.0, np.nan, np.nan, np.nan, np.nan])
     op = np.array([0, 0, driver.RESET, 0, 0, 0])
     found, status = replay(program, "double", e, v, op=op)
-    fresh = run_scheduled(block, e[:3], np.full(3, 300.0)).currents
+    fresh = run_of(block, e[:3], np.full(3, 300.0)).currents
     assert np.abs(found[3:] - fresh).max() <= 1e-15
     assert (status[3:] == HELD | TOLD).all()
 
@@ -281,7 +280,7 @@ def test_header_and_report_say_what_matters():
         "follows at 2500 rad/s^2 at most",
     ):
         assert text in header
-    cost = scheduled_cost(block, "double")
+    cost = block.cost("double")
     assert (
         f"{cost.multiplications} multiplications, {cost.additions} additions and 1 division"
         in header
@@ -331,7 +330,7 @@ def test_the_stated_memory_is_that_of_the_compiler(tmp_path):
         )
         driver.build("gcc", [str(tmp_path / "size.c"), "-o", str(tmp_path / "size")])
         size = int(subprocess.run([str(tmp_path / "size")], capture_output=True, check=True).stdout)
-        assert 0 <= size - scheduled_cost(block, arithmetic).state_bytes < 8  # padding at the end
+        assert 0 <= size - block.cost(arithmetic).state_bytes < 8  # padding at the end
 
 
 @pytest.mark.parametrize("arithmetic", ["fixed32", "fixed16", "half"])

@@ -19,10 +19,8 @@ from ambrose.code.block.run import (
     LATCHED,
     REASON_AT,
     STATE_AT,
-    make_scheduled_vectors,
-    run_supervised,
-    scheduled_cost,
-    step_cost,
+    run_of,
+    vectors_of,
 )
 from ambrose.code.block.scheduled import build_scheduled_block, supervise, supervised_twin
 from ambrose.code.c.code import generate
@@ -121,7 +119,7 @@ def test_the_code_is_its_twin(watch, schedule, fixed):
         * np.repeat([1.0, 4.0, 0.01], count // 3)[:, None]
     )
     told = readings(count)
-    twin, code = run_supervised(block, e, told), CompiledSchedule(block)
+    twin, code = run_of(block, e, told), CompiledSchedule(block)
     currents, status = np.empty_like(twin.currents), np.empty(count, int)
     for k, (value, *estimate) in enumerate(told.tolist()):
         code.schedule(value)
@@ -157,7 +155,7 @@ def test_the_self_test_passes_and_meets_every_state_and_doubt(watch, arithmetic,
         )
         done = subprocess.run([str(tmp_path / "t")], capture_output=True, text=True, check=False)
         assert done.returncode == 0 and " 0 wrong" in done.stdout, done.stdout
-    status = make_scheduled_vectors(block).status
+    status = vectors_of(block).status
     assert set((status >> STATE_AT & 3).tolist()) == set(State)
     assert set((status >> REASON_AT & 7).tolist()) == (
         set(Fault) if watch is WATCH else set(Fault) - {Fault.JUMP, Fault.STUCK}
@@ -280,11 +278,8 @@ def test_the_interrupt_of_the_page_compiles(blocks, tmp_path):
 
 def test_what_it_costs(blocks):
     watch = Limits(0.0, TOP, 0.05 * TOP)
-    both = scheduled_cost(supervise(*blocks, watch), "double").multiplications
-    alone = (
-        scheduled_cost(blocks[0], "double").multiplications
-        + step_cost(blocks[1], "double").multiplications
-    )
+    both = supervise(*blocks, watch).cost("double").multiplications
+    alone = blocks[0].cost("double").multiplications + blocks[1].cost("double").multiplications
     assert alone < both < 1.4 * alone
 
 

@@ -13,7 +13,7 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 import code_driver as driver
-from ambrose.code.block.run import BEHIND, CLAMPED, FAULT, TOLD, TOLD_SECOND, run_scheduled
+from ambrose.code.block.run import BEHIND, CLAMPED, FAULT, TOLD, TOLD_SECOND, run_of
 from ambrose.code.block.scheduled import build_scheduled_block, neighbours
 from ambrose.code.c.code import generate, write_code
 from ambrose.code.c.compiled import CompiledSchedule, read_law
@@ -68,8 +68,8 @@ def test_a_parameter_that_stands_still_is_the_schedule_over_the_other():
     both, alone = block_of(both_schedule()), block_of(small_schedule())
     rng = np.random.default_rng(1)
     e, speeds = rng.uniform(-ERROR, ERROR, (3000, 2)) / 1e3, adversarial_speeds(alone, 3000)
-    one = run_scheduled(alone, e, speeds)
-    two = run_scheduled(both, e, np.stack([speeds, np.zeros(3000)], axis=1))
+    one = run_of(alone, e, speeds)
+    two = run_of(both, e, np.stack([speeds, np.zeros(3000)], axis=1))
     np.testing.assert_allclose(two.currents, one.currents, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(two.status, one.status)
 
@@ -87,7 +87,7 @@ def test_states_stay_within_the_bound_proved_for_any_motion():
     assert block.motion.proved
     rng = np.random.default_rng(5)
     told = np.stack([rng.choice(GRID, 8000), rng.choice(PRESSURES, 8000)], axis=1)
-    run = run_scheduled(block, rng.choice([-ERROR, ERROR], (8000, 2)), told)
+    run = run_of(block, rng.choice([-ERROR, ERROR], (8000, 2)), told)
     assert (run.largest <= block.motion.states).all()
 
 
@@ -102,7 +102,7 @@ def test_the_code_is_its_twin(rates):
         rng.uniform(-1.2, 1.2, (3000, 2)) * ERROR * np.exp2(-rng.integers(0, 9, (3000, 1))),
     )
     e[rng.random(e.shape) < 0.01] = np.nan
-    meant = run_scheduled(block, e, told)
+    meant = run_of(block, e, told)
     for k in range(len(e)):
         code.schedule(tuple(told[k]))
         found = code.step(e[k])
@@ -201,9 +201,10 @@ def test_what_cannot_be_is_refused(tmp_path):
     ):
         block_of(both_schedule(), told_limit=(None, 1e5))
     with pytest.raises(
-        InvalidInput, match=r"shape of speeds and pressures is \(3,\), but must be \(3, 2\)"
+        InvalidInput,
+        match=r"shape of what is told \(speed, pressure\) is \(3,\), but must be \(3, 2\)",
     ):
-        run_scheduled(block, np.zeros((3, 2)), np.zeros(3))
+        run_of(block, np.zeros((3, 2)), np.zeros(3))
     axes = (np.array([100.0, 100.0 + 1e-6]), np.array(PRESSURES))
     close = ScheduledSystem(axes, both_schedule().systems[:6], BOTH.name, BOTH.unit)
     with pytest.raises(InvalidInput, match=r"apart in single precision"):

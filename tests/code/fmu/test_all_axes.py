@@ -12,7 +12,7 @@ import ambrose as amb
 from ambrose import StateSpace
 from ambrose.code.all_axes import AllAxes
 from ambrose.code.block.block import build_block
-from ambrose.code.block.run import run_block
+from ambrose.code.block.run import run_of
 from ambrose.code.fmu import axial_flags, references, variables
 from ambrose.code.sampled import deploy
 from fmu_player import Player
@@ -79,7 +79,7 @@ def test_one_fmu_of_all_axes_is_both_twins(arithmetic, within, laws, tmp_path):
         assert validate_fmu(str(path)) == []
         currents, flags = played(path, tmp_path / path.stem, block, along, errors, valid)
         for one, part in ((block, slice(0, n - 1)), (along, slice(n - 1, n))):
-            twin = run_block(one, errors[:, part], valid[:, part]).currents
+            twin = run_of(one, errors[:, part], valid=valid[:, part]).currents
             assert one.delay == 1  # what is read after a step are the currents of its errors
             assert np.abs(currents[:, part] - twin).max() <= within * np.abs(twin).max()
             assert (np.abs(twin) < 0.9 * one.current_limit).mean() > 0.5

@@ -17,8 +17,8 @@ from fmpy.validation import validate_fmu
 
 import code_driver as driver
 from ambrose import StateSpace
-from ambrose.code.block.fixed_point import to_fixed_point
-from ambrose.code.block.run import FAULT, HELD, LIMITED, run_block, run_fixed
+from ambrose.code.block.fixed_point import in_words
+from ambrose.code.block.run import FAULT, HELD, LIMITED, run_of
 from ambrose.code.fmu import generate_fmu, generate_fmus, generate_sources, variables
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.ordinary_file import write_files
@@ -68,7 +68,7 @@ def test_validation_finds_nothing(version, make, tmp_path):
 @pytest.mark.parametrize("version", VERSIONS)
 def test_agrees_with_the_block_in_python(rig, version, tmp_path):
     e, valid = driver.adversarial(rig, 10_000)
-    expected = run_block(rig, e, valid)
+    expected = run_of(rig, e, valid=valid)
     found, status = opened(rig, version, tmp_path).play(rig, e, valid)
     assert np.abs(found - expected.currents).max() <= 1e-12 * CURRENT
     assert (status == expected.status).all()
@@ -85,7 +85,7 @@ def test_the_computing_delay_is_inside(version, delay, tmp_path):
     """
     block = small_block(delay)
     e, valid = driver.adversarial(block, 600)
-    expected = run_block(block, e, valid).currents
+    expected = run_of(block, e, valid=valid).currents
     found, _ = opened(block, version, tmp_path).play(block, e, valid, direct=delay == 0)
     late = max(delay - 1, 0)
     assert (found[:late] == 0).all()
@@ -117,7 +117,7 @@ def test_simulated_with_tables_of_input(version, tmp_path):
         input=signals,
         output=["u_x", "limited"],
     )
-    expected = run_block(block, e).currents[:, 0]
+    expected = run_of(block, e).currents[:, 0]
     assert len(found) == count + 1
     # FMPy interpolates its table
     assert np.abs(found["u_x"][1:] - expected[:-1]).max() <= 1e-9 * np.abs(expected).max()
@@ -135,12 +135,12 @@ def test_the_code_inside_may_be_float_or_fixed(rig, version, arithmetic, tmp_pat
     player = opened(block, version, tmp_path, arithmetic)
     found, status = player.play(block, e)
     if arithmetic == "fixed32":
-        fixed = to_fixed_point(block)
+        fixed = in_words(block)
         words = np.floor(np.nan_to_num(e, nan=0) / ERROR * 2**30 + 0.5).astype(np.int64)
-        run = run_fixed(fixed, words, ~np.isnan(e))
+        run = run_of(fixed, words, valid=~np.isnan(e))
         assert np.abs(found - run.currents * (CURRENT / 2**30)).max() <= 1e-15 * CURRENT
     else:
-        run = run_block(block, e.astype(np.float32).astype(float))
+        run = run_of(block, e.astype(np.float32).astype(float))
         assert np.abs(found - run.currents).max() <= 1e-4 * CURRENT
     assert (status == run.status).all()
     assert set(status) >= {0, HELD, LIMITED}
@@ -153,7 +153,7 @@ def test_steps_of_several_samples_and_no_others(version, tmp_path):
     player = opened(block, version, tmp_path)
     player.set(["err_x", "err_y"], [1e-4, -2e-4])
     player.step(5 * block.sample_time)
-    expected = run_block(block, np.tile([1e-4, -2e-4], (5, 1))).currents[-1]
+    expected = run_of(block, np.tile([1e-4, -2e-4], (5, 1))).currents[-1]
     assert np.abs(np.array(player.get(["u_x"])) - expected).max() <= 1e-12
     assert player.get(["time"]) == [pytest.approx(5 * block.sample_time)]
     for step in (0.5 * block.sample_time, 1.5 * block.sample_time, 0.0, -block.sample_time, np.nan):
@@ -364,7 +364,8 @@ def test_fmpy_builds_the_sources_itself(version, tmp_path, monkeypatch):
     player.begin()
     e, valid = driver.adversarial(block, 1000)
     assert (
-        np.abs(player.play(block, e, valid)[0] - run_block(block, e, valid).currents).max() <= 1e-12
+        np.abs(player.play(block, e, valid)[0] - run_of(block, e, valid=valid).currents).max()
+        <= 1e-12
     )
 
 

@@ -8,7 +8,7 @@ from fmpy.validation import validate_fmu
 
 import code_driver as driver
 from ambrose.code.block.block import build_block
-from ambrose.code.block.run import BEHIND, CLAMPED, FAULT, HELD, LIMITED, TOLD, run_scheduled
+from ambrose.code.block.run import BEHIND, CLAMPED, FAULT, HELD, LIMITED, TOLD, run_of
 from ambrose.code.fmu import generate_fmu, model_description
 from ambrose.code.sampled import deploy
 from ambrose.core.checks import InvalidInput
@@ -39,7 +39,7 @@ def test_agrees_with_the_block_in_python(version, make, rate, tmp_path):
     frozen = build_block(deploy(block.at(block.grid[1]), DT, DT, force=True), "k", ERROR, CURRENT)
     e, valid = driver.adversarial(frozen, 4000)
     told = adversarial_speeds(block, 4000)
-    expected = run_scheduled(block, e, told, valid)
+    expected = run_of(block, e, told, valid)
     player = Player(path, tmp_path / "opened")
     player.begin()
     assert player.get([block.along.name]) == [block.range[0]]

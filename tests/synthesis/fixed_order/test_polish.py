@@ -17,8 +17,7 @@ from ambrose.core.mu import all_frequencies
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, is_stable, spectral_abscissa
 from ambrose.law.design_problem import with_performance_block
-from ambrose.synthesis.fixed_order.descent import descend
-from ambrose.synthesis.fixed_order.polish import Cost, block_form, polish_synthesis
+from ambrose.synthesis.fixed_order.polish import Cost, block_form, descend, polish_synthesis
 from ambrose.synthesis.fixed_order.structure import reduce_controller
 from ambrose.synthesis.hinf import hinf_synthesis
 from ambrose.synthesis.mu import mu_synthesis

@@ -31,7 +31,7 @@ from ambrose.annexes.rotordynamics.placement import (
     shaft_modes,
     span_middle,
 )
-from ambrose.annexes.rotordynamics.response import Response, Solve, reach, respond
+from ambrose.annexes.rotordynamics.response import Solve, UnbalanceResponse, reach, respond
 from ambrose.annexes.rotordynamics.result import OWN, Item, Lateral, ModeRow
 from ambrose.annexes.rotordynamics.stations import Layout, lay_out, rigid_support_critical
 from ambrose.chain.check import clearance_doubts
@@ -295,7 +295,7 @@ def with_blocks(
     machine: Machine,
     law: Law,
     sampled: tuple[float | None, int | None],
-    off: Response,
+    off: UnbalanceResponse,
     loop_at: Callable[[float], ShaftLoop],
     speeds: tuple[float, float, float],
     scale: float,
@@ -365,7 +365,7 @@ def _judged(item: BlockLoop, words: str, progress: Callable[[str], None]) -> Ite
 
 def _unbalance(
     item: BlockLoop,
-    off: Response,
+    off: UnbalanceResponse,
     loop_at: Callable[[float], ShaftLoop],
     speeds: tuple[float, float, float],
     scale: float,
@@ -392,7 +392,7 @@ def _unbalance(
         yield _capacity(loop_at(highest), below, words)
 
 
-def _capacity(loop: ShaftLoop, response: Response, words: str) -> Item:
+def _capacity(loop: ShaftLoop, response: UnbalanceResponse, words: str) -> Item:
     """The least margin of unbalance of all axes."""
     axes = loop.plant.machine.axes
     worst, axis = min(

@@ -16,7 +16,7 @@ import numpy as np
 
 from ambrose.annexes.rotordynamics.loop import ShaftLoop, forces_of_components, shaft_loop
 from ambrose.annexes.rotordynamics.placement import ShaftMode
-from ambrose.annexes.rotordynamics.response import Response
+from ambrose.annexes.rotordynamics.response import UnbalanceResponse
 from ambrose.annexes.rotordynamics.stations import lay_out
 from ambrose.core.checks import NumericalFailure
 from ambrose.judge.unbalance import (
@@ -182,7 +182,7 @@ def capacities(
     loop_at: Callable[[float], ShaftLoop],
     given: LawLike,
     timing: Timing | None,
-    response: Response,
+    response: UnbalanceResponse,
     trip: float,
 ) -> tuple[AxisCapacity, ...]:
     """Capacity and demand of every axis; loop: at the operating point, loop_at: at another speed
@@ -266,7 +266,7 @@ def _static(loop: ShaftLoop) -> list[tuple[str, np.ndarray]]:
 
 
 def unbalance_demands(
-    loop: ShaftLoop, response: Response, axis: int, end: str = "at trip"
+    loop: ShaftLoop, response: UnbalanceResponse, axis: int, end: str = "at trip"
 ) -> Iterator[Demand]:
     """What every placement takes of an axis, where current and voltage are largest and at the end
     of the response, called ``end``.
@@ -304,7 +304,7 @@ def unbalance_demands(
             )
 
 
-def _components_at(loop: ShaftLoop, response: Response) -> list[list[Demand]]:
+def _components_at(loop: ShaftLoop, response: UnbalanceResponse) -> list[list[Demand]]:
     """What seals and stages push with at trip under the unbalance that moves them most, carried to
     every axis by a lever: part of what unbalance takes.
     """

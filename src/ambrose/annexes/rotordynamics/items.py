@@ -23,8 +23,8 @@ from ambrose.annexes.rotordynamics.levels import OVERDAMPED, LevelOne
 from ambrose.annexes.rotordynamics.loop import CONTROLLER, PhaseBudget, ShaftLoop
 from ambrose.annexes.rotordynamics.response import (
     Reach,
-    Response,
     Separation,
+    UnbalanceResponse,
     criticals,
     separation,
 )
@@ -51,7 +51,7 @@ class Reading:
     speed: float
 
 
-def largest_reading(response: Response, lowest: float, highest: float) -> Reading:
+def largest_reading(response: UnbalanceResponse, lowest: float, highest: float) -> Reading:
     """A_max: over all probes and placements, between two speeds [rad/s].
 
     Without probes in the machine file the journals' major axes stand for them.
@@ -73,7 +73,7 @@ def largest_reading(response: Response, lowest: float, highest: float) -> Readin
     return best
 
 
-def rubs(response: Response, scale: float) -> tuple[Rub, ...]:
+def rubs(response: UnbalanceResponse, scale: float) -> tuple[Rub, ...]:
     """Scaled major axis, peak to peak, at every clearance: worst placement and speed of each."""
     layout = response.layout
     offsets = np.abs(sag_line(layout.machine, tuple(gap.position for gap in layout.gaps)))
@@ -152,7 +152,7 @@ def undamped(found: CriticalMap) -> Iterator[Item]:
 
 
 def unbalance(
-    response: Response,
+    response: UnbalanceResponse,
     reading: Reading,
     speeds: tuple[float, float],
     scale: tuple[float, float],
@@ -203,7 +203,7 @@ def vibration(
 
 
 def criticals_of(
-    response: Response, lowest: float, highest: float, words: str = ""
+    response: UnbalanceResponse, lowest: float, highest: float, words: str = ""
 ) -> Iterator[Item]:
     """Every critical speed with its margin from the running speeds [rad/s]; words: added to the
     title.
@@ -249,7 +249,7 @@ def criticals_of(
         )
 
 
-def reached(found: Reach, response: Response, highest: float) -> Item:
+def reached(found: Reach, response: UnbalanceResponse, highest: float) -> Item:
     """Whether the response goes as far as a separation margin may be required."""
     last = min(found.end, found.asked)
     return Item(
@@ -270,7 +270,9 @@ def reached(found: Reach, response: Response, highest: float) -> Item:
     )
 
 
-def _small(response: Response, limit: float, running: tuple[float, float]) -> Iterator[Item]:
+def _small(
+    response: UnbalanceResponse, limit: float, running: tuple[float, float]
+) -> Iterator[Item]:
     """All peaks too small to be judged in one row; limit: of vibration [m] peak to peak."""
     _, small = _peaks(response, *running)
     if not small:
@@ -292,7 +294,7 @@ def _small(response: Response, limit: float, running: tuple[float, float]) -> It
 
 
 def critical_speeds(
-    response: Response, lowest: float, highest: float
+    response: UnbalanceResponse, lowest: float, highest: float
 ) -> list[tuple[Separation, str, str]]:
     """Every critical speed that a probe or a major axis sees, up to ``standard.MARGIN_TO`` times
     the highest speed: its tightest reading with the probe and the placement, by speed.
@@ -306,7 +308,9 @@ def critical_speeds(
 _Group = list[tuple[Separation, str, str]]
 
 
-def _peaks(response: Response, lowest: float, highest: float) -> tuple[list[_Group], list[_Group]]:
+def _peaks(
+    response: UnbalanceResponse, lowest: float, highest: float
+) -> tuple[list[_Group], list[_Group]]:
     """Readings of peaks that are one critical speed, by speed; and those of peaks too small, where
     no other reading has a larger one beside.
     """
@@ -330,7 +334,7 @@ def _peaks(response: Response, lowest: float, highest: float) -> tuple[list[_Gro
     return _grouped(major), _grouped(alone)
 
 
-def _curves(response: Response, case: int, least: float) -> list[tuple[str, np.ndarray]]:
+def _curves(response: UnbalanceResponse, case: int, least: float) -> list[tuple[str, np.ndarray]]:
     """Readings (v,) [m] of a placement; in the place of those that a block holds still, where
     rounding alone has peaks, the largest major axis of the whole shaft. least [m]: of a peak.
     """

@@ -28,7 +28,7 @@ from ambrose.annexes.rotordynamics.placement import ShaftMode, shaft_modes
 from ambrose.core.checks import NumericalFailure
 from ambrose.judge.campbell import OSCILLATORY
 from ambrose.model.assemble import modes_of
-from ambrose.model.effects.support import foundation
+from ambrose.model.effects.stations import foundation
 
 # Stability, Level I: cross-coupled stiffness Q at mid-span (or at each overhung impeller), from 0
 # to ten times the anticipated Q_A, and the border Q0 at which the loop loses its damping (recalled,

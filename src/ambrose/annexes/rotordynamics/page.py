@@ -20,7 +20,7 @@ from ambrose.annexes.rotordynamics.items import level_one_beyond, speeds_in_word
 from ambrose.annexes.rotordynamics.levels import OVERDAMPED, LevelOne
 from ambrose.annexes.rotordynamics.loop import PhaseBudget
 from ambrose.annexes.rotordynamics.placement import ShaftMode
-from ambrose.annexes.rotordynamics.response import Response, Separation
+from ambrose.annexes.rotordynamics.response import Separation, UnbalanceResponse
 from ambrose.annexes.rotordynamics.result import Item, Lateral, not_finite
 from ambrose.annexes.rotordynamics.stations import Layout
 from ambrose.core.presentation import with_unit
@@ -29,7 +29,6 @@ from ambrose.machine.machine import Machine
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
 from ambrose.model.effects.stations import IMPULSE, SURGE, Load
 from ambrose.report import theme
-from ambrose.report import theme as units
 from ambrose.report.figures.rotor_drawing import machine_drawing
 from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict, numbers
 from ambrose.report.tables import assumed_table
@@ -51,7 +50,7 @@ _TOP, _LOW = _ONE, {"row": 2, "col": 1}
 
 
 def response_figure(
-    response: Response,
+    response: UnbalanceResponse,
     speeds: tuple[float, float, float],
     case: int,
     limit: float,
@@ -227,7 +226,7 @@ def _short(item: Support) -> str:
     return words + (item.name if len(names) <= 4 else f"{names[0]} and {len(names) - 1} others")
 
 
-def placement_figure(layout: Layout, response: Response) -> Any:
+def placement_figure(layout: Layout, response: UnbalanceResponse) -> Any:
     """The shape of each placement along the shaft, with its weights; journals as lines."""
     shown = response.cases
     gap = 0.27 / len(shown)  # for a heading, of all panels together
@@ -675,7 +674,7 @@ def _at_the_border(one: LevelOne) -> str:
     other = "" if one.binding is not None else ", none of the forward modes shown,"
     late = any(branch.late for branch in one.branches)
     since = " At Q = 0 it is not an oscillatory forward mode." if late else ""
-    q = f"{1e-6 * one.border:.4g} N/µm ({units.number(one.border)} N/m)"
+    q = f"{1e-6 * one.border:.4g} N/µm ({theme.number(one.border)} N/m)"
     return f"At Q0, {q}, {mode}{other} becomes unstable.{since} {asked}"
 
 
@@ -786,7 +785,7 @@ def _relation(text: str) -> str:
 
 
 def _number(value: float) -> str:
-    return units.number(value) if np.isfinite(value) else not_finite(value)
+    return theme.number(value) if np.isfinite(value) else not_finite(value)
 
 
 def _map_section(found: CriticalMap, speeds: tuple[float, float, float]) -> Section:
@@ -974,7 +973,7 @@ def load_table(machine: Machine) -> tuple[Table, ...]:
             continue
         time = "sustained"
         if part.duration is not None:
-            time = f"half-sine of {units.quantity(part.duration, 's')}"
+            time = f"half-sine of {theme.quantity(part.duration, 's')}"
         elif part.frequency is not None:
             time = f"sine of {part.frequency / (2 * np.pi):.4g} Hz"
         way = "worst case" if part.direction is None else f"{np.degrees(part.direction):.4g} deg"

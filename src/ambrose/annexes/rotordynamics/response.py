@@ -128,7 +128,7 @@ FINE = 4001  # points on which peaks are looked for
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Response:
+class UnbalanceResponse:
     """Complex amplitudes, zero to peak, over the speed.
 
     speeds (w,) [rad/s]; motion (w, s, 2, k) [m] of the stations in x and y for k sets of
@@ -148,7 +148,7 @@ class Response:
         even = np.linspace(self.speeds[0], self.speeds[-1], FINE)
         object.__setattr__(self, "fine", _apart(np.union1d(even, self.speeds)))
 
-    def upto(self, speed: float) -> Response:
+    def upto(self, speed: float) -> UnbalanceResponse:
         """What was computed up to a speed [rad/s], one of ``speeds``."""
         kept = self.speeds <= (1 + 2 * _ROUNDING) * speed
         return replace(
@@ -272,7 +272,7 @@ def respond(
     *,
     through: Sequence[float] = (),
     solve: Solve = without_block,
-) -> Response:
+) -> UnbalanceResponse:
     """The response from one speed to another [rad/s], each of whose loops is stable.
 
     loop_at: speed -> loop; through: further speeds [rad/s] between them that are computed; solve:
@@ -311,7 +311,7 @@ def respond(
     motion = np.array([known[w][0] for w in grid])
     current = np.array([known[w][1] for w in grid])
     widest = _spline_error(grid, motion, scale)
-    return Response(layout, tuple(cases), grid, motion, current, widest)
+    return UnbalanceResponse(layout, tuple(cases), grid, motion, current, widest)
 
 
 def _spline_error(grid: np.ndarray, motion: np.ndarray, scale: np.ndarray) -> float:

@@ -13,7 +13,12 @@ from ambrose.annexes.rotordynamics.critical_map import CriticalMap
 from ambrose.annexes.rotordynamics.levels import LevelOne, Share
 from ambrose.annexes.rotordynamics.loop import PhaseBudget
 from ambrose.annexes.rotordynamics.placement import ShaftMode
-from ambrose.annexes.rotordynamics.response import Critical, Response, Separation, criticals
+from ambrose.annexes.rotordynamics.response import (
+    Critical,
+    Separation,
+    UnbalanceResponse,
+    criticals,
+)
 from ambrose.annexes.rotordynamics.stations import Layout
 from ambrose.core.presentation import Presented, data_frame
 from ambrose.machine.machine import Machine
@@ -143,7 +148,7 @@ class Lateral(Presented):
     items: tuple[Item, ...] = ()
     modes: tuple[ModeRow, ...] = ()
     rubs: tuple[Rub, ...] = ()
-    response: Response | None = None
+    response: UnbalanceResponse | None = None
     level_one: LevelOne | None = None
     capacities: tuple[AxisCapacity, ...] = ()
     scale: tuple[float, float] = (1.0, 1.0)
@@ -340,7 +345,7 @@ def _map(found: CriticalMap) -> dict[str, Any]:
     }
 
 
-def _curves(response: Response) -> dict[str, Any]:
+def _curves(response: UnbalanceResponse) -> dict[str, Any]:
     """Amplitudes and phases of all readings at the computed speeds, and their peaks by
     interpolation.
     """

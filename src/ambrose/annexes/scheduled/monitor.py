@@ -23,7 +23,6 @@ from ambrose.core.statespace import StateSpace
 from ambrose.machine.machine import Machine
 from ambrose.machine.ordinary_file import write_files
 from ambrose.report import tables, theme
-from ambrose.report import theme as units
 from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict, numbers
 
 
@@ -215,12 +214,12 @@ def monitor_page(history: SealHistory, machine: Machine, *, date: str = "") -> P
     notes = tables.capitalised((*history.findings, *history.notes), ". ", "") + "."
     facts = (
         ("Seal", history.seal),
-        ("Memory", units.quantity(history.window, "s")),
+        ("Memory", theme.quantity(history.window, "s")),
         ("Changes followed", f"up to {history.rate:g} of the reference per second"),
     )
     verdicts = (tables.without_findings("Seal", history.findings, "nothing to report", see=", "),)
     section = Section(
-        "The seal against time", units.prose(notes), pictures, (monitor_table(history),)
+        "The seal against time", theme.prose(notes), pictures, (monitor_table(history),)
     )
     result = Verdict(
         "Result",
@@ -243,19 +242,19 @@ def monitor_table(history: SealHistory) -> Table:
             half = history.half_widths[known, i]
             trend = history.trend(i)
             ends = [
-                f"{units.quantity(float(v), unit)} ± {units.quantity(float(h), unit, 2)}"
+                f"{theme.quantity(float(v), unit)} ± {theme.quantity(float(h), unit, 2)}"
                 for v, h in ((x[k], half[k]) for k in (-1, int(np.argmin(x)), int(np.argmax(x))))
             ]
             slope = (
                 ""
                 if trend is None
-                else f"{units.quantity(trend[0], unit)}/s ± {units.quantity(trend[1], unit, 2)}/s"
+                else f"{theme.quantity(trend[0], unit)}/s ± {theme.quantity(trend[1], unit, 2)}/s"
             )
             texts = [ends[0], f"{ends[1]} … {ends[2]}", slope]
         texts.append(
             ""
             if limit is None
-            else f"{units.quantity(limit[0], unit)} … {units.quantity(limit[1], unit)}"
+            else f"{theme.quantity(limit[0], unit)} … {theme.quantity(limit[1], unit)}"
         )
         rows.append((Cell(path), *numbers(*texts)))
     columns = ("Parameter", "Last", "Lowest … highest", "Trend", "Range")
@@ -267,7 +266,7 @@ def _figure(history: SealHistory, i: int) -> Any:
         rows=2, cols=1, row_heights=[0.66, 0.34], shared_xaxes=True, vertical_spacing=0.06
     )
     known, unit = history.known_at, history.units[i]
-    factor, shown_unit = units.scale(unit, float(np.nanmax(np.abs(history.values[:, i]))))
+    factor, shown_unit = theme.scale(unit, float(np.nanmax(np.abs(history.values[:, i]))))
     x = history.values[known, i] * factor
     half = history.half_widths[known, i] * factor
     t = history.time[known]

@@ -13,7 +13,6 @@ import numpy as np
 from ambrose.annexes.sizing.least import Size, Sizing, Trial, drives
 from ambrose.judge.checks import Verification
 from ambrose.report import tables, theme
-from ambrose.report import theme as units
 from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict, numbers
 
 _MET, _NOT = "#009e73", "#d55e00"
@@ -329,7 +328,7 @@ def _cell(trial: Trial | None, knee: Trial | None) -> Cell:
 
 def _row(what: str, trial: Trial) -> Row:
     price, tuned = trial.costs, trial.synthesis is not None
-    gain = units.quantity(trial.gain, "A/m") if tuned else "–"
+    gain = theme.quantity(trial.gain, "A/m") if tuned else "–"
     return (
         Cell(what, "pass" if trial.met else "fail"),
         *numbers(

@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import scipy.linalg as sla
@@ -122,6 +122,46 @@ def as_comment(text: str) -> str:
     return plain.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?")
 
 
+# status bits, as in the header
+HELD = 1
+FAULT = 2
+LIMITED = 4
+# of a scheduled block besides
+CLAMPED = 8
+TOLD = 16
+BEHIND = 32
+TOLD_SECOND = 64
+# of a supervised block besides: who is in charge, why, and that it stays so
+STATE_AT = 4
+REASON_AT = 6
+LATCHED = 512
+
+
+# Operations and memory of one step of the generated code.
+
+
+# of a signal, of a state
+BYTES = {"double": (8, 8), "float": (4, 4), "fixed32": (4, 8), "fixed16": (2, 4)}
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """Multiplications and additions of a step, ``limited`` more of each while a current is cut;
+    bytes of state and tables.
+    """
+
+    multiplications: int
+    additions: int
+    limited: int
+    state_bytes: int
+    table_bytes: int
+
+
+def diagonals_of(x: np.ndarray) -> list[int]:
+    """The offsets (positive above) of the diagonals of x (n, n) that are not zero."""
+    return [k for k in range(1 - len(x), len(x)) if np.diagonal(x, k).any()]
+
+
 HOLD_SAMPLES = 10
 # s; an integral time of 0.2 s and a derivative time of 2 ms have it as their geometric mean
 WINDUP_TIME = 0.02
@@ -158,9 +198,43 @@ class Block:
     hold_samples: int
     windup_time: float
 
+    number: ClassVar[Any] = float  # of its errors, currents and states
+
     @property
     def n_states(self) -> int:
         return self.increment.shape[-1]
+
+    @property
+    def edge(self) -> np.ndarray:
+        """The largest plausible errors (m,)."""
+        return self.error_limit
+
+    @property
+    def fixed_increment(self) -> np.ndarray:
+        """A - I (n, n), of a schedule what is the same at every point."""
+        return self.increment
+
+    @property
+    def padding(self) -> tuple[int, int]:
+        """How many places before and after the states the diagonals of A - I reach."""
+        offsets = diagonals_of(self.fixed_increment)
+        return max(0, -min(offsets, default=0)), max(0, max(offsets, default=0))
+
+    def cost(self, arithmetic: str) -> Cost:
+        """Of a step as the code does it."""
+        raise NotImplementedError
+
+    def section_tables(self) -> dict[str, np.ndarray]:
+        """What a cascade has besides: mixings, channels and orders."""
+        return {}
+
+    def middle(self) -> tuple[float, ...]:
+        """What a step is told in the middle of its ranges."""
+        return ()
+
+    def in_charge(self, status: int) -> bool:
+        """Whether the law that was proved acts, by the status of a step."""
+        return True
 
     @property
     def told(self) -> tuple[str, ...]:
@@ -386,6 +460,61 @@ class ControlBlock(Block):
     @property
     def transfers(self) -> bool:
         return bool(self.from_output.any())
+
+    def said(self) -> dict[str, Any]:
+        """What the templates ask of its form."""
+        return {"cascade": False, "mixes": False}
+
+    def listing(self) -> Sequence[tuple[Any, Sequence[float], float]]:
+        """Every section of a cascade, its coefficients, and its largest output [m]."""
+        return ()
+
+    def tables(self) -> dict[str, np.ndarray]:
+        """The numbers of the code, as they lie in memory."""
+        return {
+            "error_limit": self.error_limit,
+            "current_limit": self.current_limit,
+            "B": self.B.T,
+            "C": self.C.T,
+            "D": self.D.T,
+            "unwind": self.unwind[: self.winding].T,
+            "transfer_error": self.from_error.T,
+            "transfer_current": self.from_output.T,
+        }
+
+    def products(self, *, floating: bool) -> int:
+        """Of a step: whole diagonals of A - I, dense B, C and (where not zero) D."""
+        n = self.n_states
+        m, p = len(self.inputs), len(self.outputs)
+        direct = m * p if self.D.any() else 0
+        return len(diagonals_of(self.increment)) * n + n * m + n * p + direct
+
+    @property
+    def fractions(self) -> int:
+        """How many sums in whole numbers keep what their shifts cut off."""
+        return 0
+
+    def cost(self, arithmetic: str) -> Cost:
+        n, w = self.n_states, self.winding
+        m, p = len(self.inputs), len(self.outputs)
+        signal, state = BYTES[arithmetic]
+        floating = arithmetic in {"double", "float"}
+        products = self.products(floating=floating)
+
+        # kept between samples: what compensated sums lost, or the fractions saved
+        carry = w * signal if floating else self.fractions * state
+
+        # coefficients with the unwinding, limits and transfer, then the shifts of the rows, a
+        # byte each
+        tables = products + w * p + floating * (m + p) + self.transfers * n * (m + p)
+        shifts = 0 if floating else n + 2 * p + self.transfers * n
+        return Cost(
+            multiplications=products,
+            additions=products + n + (3 * w if floating else 0),
+            limited=w * p,
+            state_bytes=(n + sum(self.padding)) * state + carry + m * (signal + 2),
+            table_bytes=tables * signal + shifts,
+        )
 
     @property
     def system(self) -> StateSpace:

@@ -16,7 +16,8 @@ the same law in modal form (block/block.py), brought into these states.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,13 +35,20 @@ from ambrose.code.block.block import (
     unwinding,
 )
 from ambrose.code.block.fixed_point import (
+    BITS,
     HORIZON,
     LARGEST_ERROR,
-    WORDS,
+    Formats,
+    WordLength,
+    Words,
+    floating_error,
+    in_common,
+    in_words,
     quantise_rows,
     response_error,
     round_to_bits,
     sampled_response,
+    word_lengths,
 )
 from ambrose.code.sampled import Deployment
 from ambrose.core.checks import InvalidInput, invalid
@@ -108,6 +116,37 @@ class CascadeBlock(ControlBlock):
     def mixes(self) -> bool:
         """Whether channels are something else than the axes."""
         return not np.array_equal(self.into, np.eye(len(self.inputs)))
+
+    @property
+    def padding(self) -> tuple[int, int]:
+        return 0, 0
+
+    def said(self) -> dict[str, Any]:
+        return {"cascade": True, "mixes": self.mixes, "channels": len(self.into)}
+
+    def listing(self) -> Sequence[tuple[Stage, Sequence[float], float]]:
+        rows = [stage.coefficients for stage in self.stages]
+        return list(zip(self.stages, rows, self.signals[len(self.into) :], strict=True))
+
+    def section_tables(self) -> dict[str, np.ndarray]:
+        return {
+            "into": self.into.T,
+            "out": self.out.T,
+            "channel": np.array([stage.channel for stage in self.stages], int),
+            "order": np.array([stage.order for stage in self.stages], int),
+        }
+
+    def products(self, *, floating: bool) -> int:
+        """Of a step: per state a and b, in whole numbers the factor between ranges as well; d of
+        every section; out, and into where channels are mixed.
+        """
+        m, p = len(self.inputs), len(self.outputs)
+        per_state = 2 if floating else 3
+        return per_state * self.n_states + len(self.stages) + m * p + m * m * self.mixes
+
+    @property
+    def fractions(self) -> int:
+        return self.n_states + len(self.inputs) * self.mixes
 
     def respond(self, e: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The currents asked for (p,) [A] and what is added to the states (n,), section by section
@@ -354,7 +393,7 @@ def _guarded(
     # bound of each signal: fast modes' peak, and the slow modes through its row
     signals = HEADROOM * fast[n:] + np.abs(rows[:, m:] @ T[:, slow]) @ bound[slow]
     signals = np.maximum(signals, np.finfo(float).tiny)
-    kept = {key: getattr(block, key) for key in ControlBlock.__dataclass_fields__}
+    kept = {item.name: getattr(block, item.name) for item in fields(block)}
     kept |= {
         "unwind": T @ gain,
         "from_error": T @ from_error,
@@ -403,61 +442,62 @@ def _signal_rows(block: ControlBlock, into: np.ndarray, stages: Sequence[Stage])
 # of the response by rounded coefficients, a tenth of a decibel; of a tenth of the median gain where
 LARGEST_GAIN_ERROR = 0.01
 # the response is smaller
-_LEAST_BITS = 4
 _DOUBLINGS = 13  # 8192 samples of the impulse responses, whose energy gives the noise
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FixedCascade:
-    """``block`` in words: whole-number coefficients (dtype int64) with the fraction bits of their
-    rows.
-
-    sections (s, 3, 3) with section_bits (s, 3): a section's y, x1 and x2 from v, x1 and x2; into
-    (c, m), into_bits (c,); output (p, c), output_bits (p,); unwind, transfer, cut_bits, signal_bits
-    and state_bits as in ``FixedBlock``; update_shift (n,): by which an increment is shifted; error
-    (p,) [A]: bound on what rounding does in HORIZON samples; noise (p,) [A]: its expected root mean
-    square; gain_error [-]: of the response, by rounded coefficients.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class FixedCascade(Words):
+    """sections (s, 3, 3) with section_bits (s, 3): a section's y, x1 and x2 from v, x1 and x2; into
+    (c, m), into_bits (c,); output (p, c): of the channels' last signals; noise (p,) [A]: the
+    expected root mean square of what rounding does; gain_error [-]: of the response, by rounded
+    coefficients.
     """
 
     block: CascadeBlock
-    word: int
-    signal_bits: int
-    state_bits: int
     into: np.ndarray
     into_bits: np.ndarray
     sections: np.ndarray
     section_bits: np.ndarray
-    update_shift: np.ndarray
-    output: np.ndarray
-    output_bits: np.ndarray
-    unwind: np.ndarray
-    unwind_bits: np.ndarray
-    transfer: np.ndarray
-    transfer_bits: np.ndarray
-    cut_bits: np.ndarray
-    error: np.ndarray
-    noise: np.ndarray
-    gain_error: float
+    noise: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    gain_error: float = 0.0
+
+    def said(self) -> dict[str, Any]:
+        noise = ", ".join(f"{value:.2g}" for value in self.noise)
+        return self.block.said() | {"noise": noise, "gain_error": f"{self.gain_error:.2g}"}
+
+    def listing(self) -> Sequence[tuple[Stage, Sequence[float], float]]:
+        rows = self.sections.reshape(-1, 9)[:, [0, 1, 3, 4, 5, 6, 7]]
+        return [
+            (stage, row, largest)
+            for (stage, _, largest), row in zip(self.block.listing(), rows, strict=True)
+        ]
+
+    def section_tables(self) -> dict[str, np.ndarray]:
+        return {
+            **self.block.section_tables(),
+            "into": self.into.T,
+            "out": self.output.T,
+            "row_bits": self.section_bits[:, 0],
+            "into_bits": self.into_bits,
+        }
+
+    def formats(self) -> Formats:
+        stages = self.block.stages
+        names = [
+            f"{stage.label}, {row}"
+            for stage in stages
+            for row in ("y", "x1", "x2")[: stage.order + 1]
+        ]
+        used = [k for stage in stages for k in [True, True, stage.order > 1]]
+        bits = self.section_bits.ravel()[used]
+        return [(names, self.sections.reshape(-1, 3)[used], bits), *Words.formats(self)]
 
 
-def to_fixed_cascade(
-    block: CascadeBlock, word: int = 32, largest_error: float = LARGEST_ERROR
-) -> FixedCascade:
-    """The block in words of 16 or 32 bits.
-
-    largest_error [-]: of the current limit, that the noise of rounding may be (root mean square).
-    Raises InvalidInput for words in which a sum overflows, the noise is larger, or rounded
-    coefficients move the response by more than LARGEST_GAIN_ERROR.
-    """
-    if word not in WORDS:
-        raise invalid("word", word, "16 or 32 bits", "choose one of them")
-    s = word - 2
+@in_words.register
+def _(block: CascadeBlock, word: int = 32, largest_error: float = LARGEST_ERROR) -> FixedCascade:
     errors = block.error_limit
     currents = block.current_limit
     channels = _inputs(block)
-
-    # what is cut off an output is up to 2^cut_bits times its limit
-    cut_bits = np.ceil(np.log2(block.raw_limit / currents)).astype(int)
 
     # channels' inputs from errors, both in parts of their ranges; then the sections' rows
     # (y, x1, x2)
@@ -469,56 +509,15 @@ def to_fixed_cascade(
     sections = np.array([table for table, _ in whole], np.int64).reshape(-1, 3, 3)
     section_bits = np.array([bits for _, bits in whole], int).reshape(-1, 3)
 
-    # currents from the channels' last signals; states' unwinding from what is cut off
-    last = _outputs(block)
-    output, output_bits = quantise_rows(block.out * last / currents[:, None], word, "an output")
-    unwind, unwind_bits = quantise_rows(
-        block.unwind * currents * np.exp2(cut_bits) / block.bound[:, None],
-        word,
-        "a state's unwinding",
-    )
-
-    # states at transfer from errors (m) and currents (p); large coefficients may have
-    # negative fraction bits
-    transfer, transfer_bits = quantise_rows(
-        np.hstack([block.from_error * errors, block.from_output * currents]) / block.bound[:, None],
-        word,
-        "a state at transfer",
-        least=_LEAST_BITS - s,
-        most=2 * word - 3 - s,
-    )
-
-    # sums have s + bits of the row; shifted by update_shift they have the state's bits
+    # currents from the channels' last signals
+    output = block.out * _outputs(block) / currents[:, None]
     own = _state_rows(block, section_bits)
-    smallest = min(own.min(initial=2 * word), unwind_bits.min(initial=2 * word))
-    # a state and two increments fit into the double word
-    state_bits = min(2 * word - 4, int(smallest) + s - 1)
-    if state_bits < s:
-        raise InvalidInput(
-            "fixed point overflows: a state grows by more than its range in one sample and keeps "
-            f"{state_bits} bits of {s}; "
-            "use words of 32 bits, or floating point"
-        )
     fixed = FixedCascade(
-        block,
-        word,
-        s,
-        state_bits,
-        into,
-        into_bits,
-        sections,
-        section_bits,
-        own + s - state_bits,
-        output,
-        output_bits,
-        unwind,
-        unwind_bits,
-        transfer,
-        transfer_bits,
-        cut_bits,
-        np.zeros(0),
-        np.zeros(0),
-        0.0,
+        into=into,
+        into_bits=into_bits,
+        sections=sections,
+        section_bits=section_bits,
+        **in_common(block, word, own, output),
     )
 
     # rounded coefficients: another law; rounding while it runs: noise
@@ -557,13 +556,8 @@ def block_law(block: CascadeBlock) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
     return block.increment, block.B, block.C, block.D
 
 
-def cascade_error(block: CascadeBlock, bits: int, steps: float = HORIZON) -> np.ndarray:
-    """Bound (p,) [A] on what ``bits`` bits of mantissa do to the outputs in so many samples, with
-    exact inputs and no limiting.
-
-    First order in 2^-bits: every coefficient and every sum may be off by half a unit; states are
-    summed with compensation.
-    """
+@floating_error.register
+def _(block: CascadeBlock, bits: int, steps: float = HORIZON) -> np.ndarray:
     unit = 2.0**-bits
     inputs = _inputs(block)
     outputs = block.signals[len(block.into) :]
@@ -598,7 +592,12 @@ def cascade_error(block: CascadeBlock, bits: int, steps: float = HORIZON) -> np.
     return by_signal + by_state + unit * (2 + len(block.into)) * asked
 
 
-def word_errors(block: CascadeBlock, bits: int) -> float:
+@word_lengths.register
+def _(block: CascadeBlock, bits: tuple[int, ...] = BITS) -> tuple[WordLength, ...]:
+    return tuple(WordLength(count, _rounded_error(block, count), np.nan) for count in bits)
+
+
+def _rounded_error(block: CascadeBlock, bits: int) -> float:
     """The error of the response with the sections' coefficients rounded to ``bits`` bits of
     mantissa.
     """

@@ -11,7 +11,10 @@ cycle from it).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import singledispatch
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -23,26 +26,28 @@ WORDS = (16, 32)  # bits of a word that there is code for
 HORIZON = 1e6  # samples for which the error bound holds; integrators let it grow with time
 LARGEST_ERROR = 1e-3  # of the current limit
 _LEAST_BITS = 4
+Formats = list[tuple[Sequence[str], np.ndarray, np.ndarray]]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FixedBlock:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Words:
     """``block`` in words: whole-number coefficients (dtype int64) with the fraction bits of their
     rows.
 
-    update (n, n + m): increment and B, with update_bits (n,); unwind (n, p), with unwind_bits (n,);
-    output (p, n + m): C and D, with output_bits (p,); transfer (n, m + p), with transfer_bits (n,);
-    signal_bits s; state_bits: of the stored states; cut_bits (p,): what is cut off an output is
-    divided by 2^cut_bits; error (p,) [A]: bound on what rounding does in HORIZON samples without
-    limiting, against exact arithmetic with the same inputs.
+    unwind (n, p), with unwind_bits (n,); output: currents of signals, with output_bits (p,);
+    transfer (n, m + p), with transfer_bits (n,); signal_bits s; state_bits: of the stored states;
+    update_shift (n,): by which the sum of a state's increment is shifted; cut_bits (p,): what is
+    cut off an output is divided by 2^cut_bits; error (p,) [A]: bound on what rounding does in
+    HORIZON samples without limiting, against exact arithmetic with the same inputs.
     """
+
+    number: ClassVar[Any] = np.int64  # of its errors, currents and states
 
     block: ControlBlock
     word: int
     signal_bits: int
     state_bits: int
-    update: np.ndarray
-    update_bits: np.ndarray
+    update_shift: np.ndarray
     unwind: np.ndarray
     unwind_bits: np.ndarray
     output: np.ndarray
@@ -50,59 +55,100 @@ class FixedBlock:
     transfer: np.ndarray
     transfer_bits: np.ndarray
     cut_bits: np.ndarray
-    error: np.ndarray
+    error: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def base(self) -> ControlBlock:
+        return self.block
+
+    @property
+    def edge(self) -> int:
+        """The largest plausible error."""
+        return 1 << self.signal_bits
+
+    @property
+    def fixed_increment(self) -> np.ndarray:
+        """A - I (n, n); of a cascade nothing, which its sections say."""
+        return np.zeros(self.block.increment.shape, np.int64)
+
+    def section_tables(self) -> dict[str, np.ndarray]:
+        """What a cascade has besides: mixings, channels and orders."""
+        return {}
+
+    def said(self) -> dict[str, Any]:
+        """What the templates ask of its form."""
+        return self.block.said()
+
+    def listing(self) -> Sequence[tuple[Any, Sequence[float], float]]:
+        """Every section of a cascade, its coefficients, and its largest output [m]."""
+        return ()
+
+    def tables(self) -> dict[str, np.ndarray]:
+        """The numbers of the code, as they lie in memory."""
+        m, w = len(self.block.inputs), self.block.winding
+        return {
+            "unwind": self.unwind[:w].T,
+            "update_shift": self.update_shift,
+            "unwind_shift": self.unwind_bits[:w] + self.signal_bits - self.state_bits,
+            "output_bits": self.output_bits,
+            "cut_bits": self.cut_bits,
+            "transfer_error": self.transfer[:, :m].T,
+            "transfer_current": self.transfer[:, m:].T,
+            "transfer_bits": self.transfer_bits + self.signal_bits,
+        }
+
+    def formats(self) -> Formats:
+        """The rows' names, coefficients and bits, of outputs, unwinding and transfer."""
+        block, states = self.block, [f"x[{i}]" for i in range(self.block.n_states)]
+        unwound, tracked = (
+            [f"{what} {state}" for state in states[:count]]
+            for what, count in (
+                ("unwind", block.winding),
+                ("track", block.n_states * block.transfers),
+            )
+        )
+        return [
+            (block.outputs, self.output, self.output_bits),
+            (unwound, self.unwind, self.unwind_bits),
+            (tracked, self.transfer, self.transfer_bits),
+        ]
 
 
-def to_fixed_point(
-    block: ControlBlock, word: int = 32, largest_error: float = LARGEST_ERROR
-) -> FixedBlock:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class FixedBlock(Words):
+    """update (n, n + m): increment and B, with update_bits (n,); output (p, n + m): C and D."""
+
+    update: np.ndarray
+    update_bits: np.ndarray
+
+    @property
+    def fixed_increment(self) -> np.ndarray:
+        return self.update[:, : self.block.n_states]
+
+    def tables(self) -> dict[str, np.ndarray]:
+        n = self.block.n_states
+        C, D = np.split(self.output, [n], axis=1)
+        return {**Words.tables(self), "B": self.update[:, n:].T, "C": C.T, "D": D.T}
+
+    def formats(self) -> Formats:
+        names = [f"x[{i}]" for i in range(self.block.n_states)]
+        return [(names, self.update, self.update_bits), *Words.formats(self)]
+
+
+@singledispatch
+def in_words(block: ControlBlock, word: int = 32, largest_error: float = LARGEST_ERROR) -> Words:
     """The block in words of 16 or 32 bits.
 
-    largest_error [-]: of the current limit, that rounding may cause. Raises InvalidInput for a word
-    in which a sum overflows or the error is larger.
+    largest_error [-]: of the current limit, that rounding may cause (of a cascade the noise of
+    rounding, root mean square). Raises InvalidInput for words in which a sum overflows, the error
+    is larger, or rounded coefficients of a cascade move the response by more than
+    ``cascade.LARGEST_GAIN_ERROR``.
     """
-    if word not in WORDS:
-        raise invalid("word", word, "16 or 32 bits", "choose one of them")
-    signal = word - 2
-    cut_bits = np.ceil(np.log2(block.raw_limit / block.current_limit)).astype(int)
-
     # coefficients between parts of limits, in words row by row
-    update, unwind, output, transfer = _normalise(block, cut_bits)
-    q_update, update_bits = quantise_rows(update, word, "a state's increment")
-    q_unwind, unwind_bits = quantise_rows(unwind, word, "a state's unwinding")
-    q_output, output_bits = quantise_rows(output, word, "an output")
-    q_transfer, transfer_bits = quantise_rows(
-        transfer,
-        word,
-        "a state at transfer",
-        least=_LEAST_BITS - signal,
-        most=2 * word - 3 - signal,
-    )
-    smallest = min(update_bits.min(initial=2 * word), unwind_bits.min(initial=2 * word))
-    # a state and two increments fit into the double word
-    state_bits = min(2 * word - 4, int(smallest) + signal - 1)
-    if state_bits < signal:
-        raise InvalidInput(
-            "fixed point overflows: a state grows by more than its range in one sample and keeps "
-            f"{state_bits} bits of "
-            f"{signal}; use words of 32 bits, or floating point"
-        )
-    fixed = FixedBlock(
-        block,
-        word,
-        signal,
-        state_bits,
-        q_update,
-        update_bits,
-        q_unwind,
-        unwind_bits,
-        q_output,
-        output_bits,
-        q_transfer,
-        transfer_bits,
-        cut_bits,
-        np.zeros(0),
-    )
+    update = np.hstack([block.increment, block.B * block.error_limit])
+    output = np.hstack([block.C, block.D * block.error_limit]) / block.current_limit[:, None]
+    whole, bits = quantise_rows(update, word, "a state's increment")
+    fixed = FixedBlock(update=whole, update_bits=bits, **in_common(block, word, bits, output))
 
     # what rounding does, as a share of the limit
     error = _error(fixed, update, output)
@@ -117,23 +163,56 @@ def to_fixed_point(
     return replace(fixed, error=error)
 
 
-def _normalise(
-    block: ControlBlock, cut_bits: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The matrices with every signal as a part of its limit: update (n, n + m), unwind (n, p),
-    output (p, n + m), transfer (n, m + p); what is cut off is a part of 2^cut_bits limits.
+def in_common(
+    block: ControlBlock, word: int, bits: np.ndarray, output: np.ndarray
+) -> dict[str, Any]:
+    """What every form has in words. bits (n,): behind the point of the states' increments; output:
+    currents of signals, both in parts of their limits. Raises InvalidInput.
     """
-    e, u = block.error_limit, block.current_limit
-    update, output = (
-        np.hstack([block.increment, block.B * e]),
-        np.hstack([block.C, block.D * e]) / u[:, None],
+    if word not in WORDS:
+        raise invalid("word", word, "16 or 32 bits", "choose one of them")
+    s = word - 2
+    u, reach = block.current_limit, block.state_range[:, None]
+
+    # what is cut off an output is up to 2^cut_bits times its limit
+    cut_bits = np.ceil(np.log2(block.raw_limit / u)).astype(int)
+    q_output, output_bits = quantise_rows(output, word, "an output")
+    unwind, unwind_bits = quantise_rows(
+        block.unwind * u * np.exp2(cut_bits) / reach, word, "a state's unwinding"
     )
-    return (
-        update,
-        block.unwind * u * np.exp2(cut_bits),
-        output,
-        np.hstack([block.from_error * e, block.from_output * u]),
+
+    # states at transfer from errors (m) and currents (p); large coefficients may have negative
+    # fraction bits
+    transfer, transfer_bits = quantise_rows(
+        np.hstack([block.from_error * block.error_limit, block.from_output * u]) / reach,
+        word,
+        "a state at transfer",
+        least=_LEAST_BITS - s,
+        most=2 * word - 3 - s,
     )
+
+    # a state and two increments fit into the double word
+    smallest = min(bits.min(initial=2 * word), unwind_bits.min(initial=2 * word))
+    state_bits = min(2 * word - 4, int(smallest) + s - 1)
+    if state_bits < s:
+        raise InvalidInput(
+            "fixed point overflows: a state grows by more than its range in one sample and keeps "
+            f"{state_bits} bits of {s}; use words of 32 bits, or floating point"
+        )
+    return {
+        "block": block,
+        "word": word,
+        "signal_bits": s,
+        "state_bits": state_bits,
+        "update_shift": bits + s - state_bits,
+        "unwind": unwind,
+        "unwind_bits": unwind_bits,
+        "output": q_output,
+        "output_bits": output_bits,
+        "transfer": transfer,
+        "transfer_bits": transfer_bits,
+        "cut_bits": cut_bits,
+    }
 
 
 def quantise_rows(
@@ -190,17 +269,17 @@ def _error(fixed: FixedBlock, update: np.ndarray, output: np.ndarray) -> np.ndar
     )
 
 
-def accumulate_rounding(block: ControlBlock, source: np.ndarray) -> np.ndarray:
-    """How far the states (n,) can be off when every sample adds an error up to ``source`` (n,),
-    over HORIZON samples.
+def accumulate_rounding(
+    block: ControlBlock, source: np.ndarray, steps: float = HORIZON
+) -> np.ndarray:
+    """How far the states (n,) can be off when every one of so many samples adds an error up to
+    ``source`` (n,).
     """
     result = np.zeros(block.n_states)
 
     # block by block of the diagonal: the others are zero
     for own in block_slices(block.sizes):
-        result[own] = peak_gains(block.increment[own, own], np.diag(source[own]), HORIZON).sum(
-            axis=1
-        )
+        result[own] = peak_gains(block.increment[own, own], np.diag(source[own]), steps).sum(axis=1)
     return result
 
 
@@ -234,8 +313,11 @@ def round_to_bits(x: np.ndarray, bits: int) -> np.ndarray:
     return np.ldexp(np.round(np.ldexp(mantissa, bits)), exponent - bits)
 
 
+@singledispatch
 def word_lengths(block: ControlBlock, bits: tuple[int, ...] = BITS) -> tuple[WordLength, ...]:
-    """The effect of each word length on the block between its limits."""
+    """The effect of each word length on the block between its limits; of a cascade, whose sections
+    are rounded one by one, without the shift of its poles.
+    """
     law = (block.increment, block.B, block.C, block.D)
     return tuple(
         WordLength(count, gain_error(*law, count), _pole_shift(block, count)) for count in bits
@@ -294,12 +376,13 @@ def _pole_shift(block: ControlBlock, bits: int) -> float:
     return worst
 
 
-def floating_error(block: ControlBlock, bits: int) -> np.ndarray:
-    """Bound (p,) [A] on what ``bits`` bits of mantissa do to the outputs in HORIZON samples, with
+@singledispatch
+def floating_error(block: ControlBlock, bits: int, steps: float = HORIZON) -> np.ndarray:
+    """Bound (p,) [A] on what ``bits`` bits of mantissa do to the outputs in so many samples, with
     exact inputs and no limiting.
 
-    First order in 2^-bits: every coefficient and every sum may be off by half a unit; slow states
-    are summed with compensation.
+    First order in 2^-bits: every coefficient and every sum may be off by half a unit; slow states,
+    of a cascade all, are summed with compensation.
     """
     unit, n = 2.0**-bits, block.n_states
     terms = n and max(block.sizes) + len(block.inputs) + 1
@@ -315,5 +398,5 @@ def floating_error(block: ControlBlock, bits: int) -> np.ndarray:
 
     # outputs: accumulated states, and the rounding of C x + D e
     asked = np.abs(block.C).sum(axis=1) + np.abs(block.D) @ block.error_limit
-    states = accumulate_rounding(block, source) + 2 * unit * (np.arange(n) < block.winding)
+    states = accumulate_rounding(block, source, steps) + 2 * unit * (np.arange(n) < block.winding)
     return np.abs(block.C) @ states + unit * (2 + n + len(block.inputs)) * asked

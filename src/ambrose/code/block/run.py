@@ -7,32 +7,32 @@ from __future__ import annotations
 import csv
 import io
 from dataclasses import dataclass, field
+from functools import singledispatch
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.code.block.block import Block, ControlBlock
-from ambrose.code.block.cascade import CascadeBlock, FixedCascade
-from ambrose.code.block.fixed_point import FixedBlock
+from ambrose.code.block.block import (
+    BEHIND,
+    CLAMPED,
+    FAULT,
+    HELD,
+    LATCHED,
+    LIMITED,
+    REASON_AT,
+    STATE_AT,
+    TOLD,
+    TOLD_SECOND,
+    Block,
+    ControlBlock,
+)
+from ambrose.code.block.cascade import FixedCascade
+from ambrose.code.block.fixed_point import FixedBlock, Words
 from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock, supervised_twin
 from ambrose.core.checks import InvalidInput, check_shape
 from ambrose.core.scheduled import corners
-from ambrose.law.supervision import SupervisedProgram
 
-# status bits, as in the header
-HELD = 1
-FAULT = 2
-LIMITED = 4
-# of a scheduled block besides
-CLAMPED = 8
-TOLD = 16
-BEHIND = 32
-TOLD_SECOND = 64
-# of a supervised block besides: who is in charge, why, and that it stays so
-STATE_AT = 4
-REASON_AT = 6
-LATCHED = 512
 FLOOR = {"double": 1e-200, "float": 1e-30}  # a state below it is zero: no denormal numbers linger
 
 
@@ -50,38 +50,101 @@ class BlockRun:
     schedule: np.ndarray | None = None
 
 
-def run_block(
-    block: ControlBlock,
+class Steps:
+    """A law sample by sample, of errors that are plausible. x (n,): its states; limited: whether
+    the last step cut a current; known: of the status (k,), what is known before from what it is
+    told; schedule (k,) or (k, 2): where a scheduled law is taken.
+    """
+
+    x: np.ndarray
+    limited = False
+    known: np.ndarray | int = 0
+    schedule: np.ndarray | None = None
+
+    @property
+    def bits(self) -> int:
+        """What the last step adds to the status."""
+        return LIMITED * self.limited
+
+    def step(self, e: np.ndarray) -> np.ndarray:
+        """Currents (p,) [A] from errors (m,) [m]; of whole numbers both in counts."""
+        raise NotImplementedError
+
+
+def run_of(
+    law: Block | Words,
     errors: ArrayLike,
+    told: ArrayLike | None = None,
     valid: ArrayLike | None = None,
     start: ArrayLike | None = None,
+    single: bool = False,
 ) -> BlockRun:
-    """Double precision. errors (k, m) [m]: NaN and infinity allowed; valid (k, m): the channels'
-    flags (None: all true); start (n,): the states before the first sample (None: zero). Raises
-    InvalidInput.
+    """A block in double precision, or in words bit by bit, from the start of the code.
+
+    errors (k, m) [m], NaN and infinity allowed, of words whole numbers of 2^-signal_bits
+    error_limit (the currents likewise); told: of a scheduled block speeds [rad/s] or pressures [Pa]
+    (k,) or both (k, 2), of a supervised one (k, 3) [Pa], readings, estimates, their half widths,
+    NaN and infinity allowed; valid (k, m): the channels' flags (None: all true); start (n,): the
+    states before the first sample (None: zero; neither of words nor of a supervised block). single:
+    of a scheduled block, computed in single precision. Raises InvalidInput.
     """
-    e, status = plausible_errors(block, errors, valid)
-    steps, currents = FixedSteps(block, start), np.empty((len(e), len(block.outputs)))
-    largest = np.abs(steps.x)
-    for k in range(len(e)):
-        currents[k] = steps.step(e[k])
-        status[k] |= LIMITED * steps.limited
-        largest = np.maximum(largest, np.abs(steps.x))
-    return BlockRun(currents, status, steps.x, largest)
+    e, good = usable(law, errors, valid)
+    e, status = hold_last(e, good, law.base.hold_samples)
+    steps = steps_of(law, told_of(law.base, told, len(e)), start, single)
+    status = status | steps.known
+    currents, largest = np.empty((len(e), len(law.base.outputs)), law.number), np.abs(steps.x)
+    # products in single precision may raise the flag for an invalid value in lanes of a vector
+    # register that hold no number of theirs: seen once, of laws without such a value; a real one is
+    # a NaN among the currents
+    with np.errstate(invalid="ignore" if single else "warn"):
+        for k in range(len(e)):
+            currents[k] = steps.step(e[k])
+            status[k] |= steps.bits
+            largest = np.maximum(largest, np.abs(steps.x))
+    states, largest = steps.x.astype(law.number), largest.astype(law.number)
+    return BlockRun(currents, status, states, largest, steps.schedule)
 
 
-class FixedSteps:
-    """A fixed block sample by sample, of errors that are plausible. x (n,): its states; limited:
-    whether the last step cut a current.
-    """
+def told_of(block: Block, told: ArrayLike | None, count: int) -> np.ndarray | None:
+    """What a block is told as an array of its shape. Raises InvalidInput."""
+    if not block.told:
+        return None
+    found, size = np.asarray(told, float), (count, len(block.told))[: len(block.told)]
+    if found.shape != size:
+        raise InvalidInput(
+            f"the shape of what is told ({', '.join(block.told)}) is {found.shape}, but must be "
+            f"{size}, one for every sample"
+        )
+    return found
 
-    def __init__(self, block: ControlBlock, start: ArrayLike | None = None) -> None:
-        self.block, self.limited = block, False
+
+@singledispatch
+def steps_of(
+    law: Block | Words,
+    told: np.ndarray | None = None,
+    start: ArrayLike | None = None,
+    single: bool = False,
+) -> Steps:
+    """A law at its first sample; arguments as of ``run_of``."""
+    raise NotImplementedError
+
+
+@steps_of.register(ControlBlock)
+class FixedSteps(Steps):
+    """A fixed block."""
+
+    def __init__(
+        self,
+        block: ControlBlock,
+        told: None = None,
+        start: ArrayLike | None = None,
+        single: bool = False,
+    ) -> None:
+        self.block = block
         self.x = np.zeros(block.n_states) if start is None else np.array(start, dtype=float)
         self._carry = np.zeros(block.winding)
 
     def step(self, e: np.ndarray) -> np.ndarray:
-        """Currents (p,) [A] from errors (m,) [m]."""
         u, step = self.block.respond(e, self.x)
         given = np.minimum(np.maximum(u, -self.block.current_limit), self.block.current_limit)
 
@@ -95,64 +158,20 @@ class FixedSteps:
         return given
 
 
-def run_scheduled(
-    block: ScheduledBlock,
-    errors: ArrayLike,
-    told: ArrayLike,
-    valid: ArrayLike | None = None,
-    start: ArrayLike | None = None,
-    single: bool = False,
-) -> BlockRun:
-    """errors (k, m) [m] and told (k,), speeds [rad/s] or pressures [Pa], or both (k, 2): NaN and
-    infinity allowed; valid (k, m): the errors' flags (None: all true); start (n,): the states
-    before the first sample (None: zero). single: computed in single precision. Raises InvalidInput.
-    """
-    e, status = plausible_errors(block, errors, valid)
-    v, d = np.asarray(told, dtype=float), len(block.axes)
-    if v.shape != ((len(e),) if d == 1 else (len(e), d)):
-        size = f"({len(e)},)" if d == 1 else f"({len(e)}, {d})"
-        raise InvalidInput(
-            f"the shape of {block.along.plural} is {v.shape}, but must be {size}, one for every "
-            "sample"
-        )
-
-    schedule, told_status = follow_told(block, v)
-    status |= told_status
-    steps = ScheduledSteps(block, schedule, start, single)
-    currents = np.empty((len(e), len(block.outputs)), steps.x.dtype)
-    largest = np.abs(steps.x)
-    with _single_flags(single):
-        for k in range(len(e)):
-            currents[k] = steps.step(e[k])
-            status[k] |= LIMITED * steps.limited
-            largest = np.maximum(largest, np.abs(steps.x))
-    return BlockRun(
-        currents.astype(float), status, steps.x.astype(float), largest.astype(float), schedule
-    )
-
-
-def _single_flags(single: bool) -> np.errstate:
-    """Products in single precision may raise the flag for an invalid value in lanes of a vector
-    register that hold no number of theirs: seen once, of laws without such a value. A real one is
-    a NaN among the currents.
-    """
-    return np.errstate(invalid="ignore" if single else "warn")
-
-
-class ScheduledSteps:
-    """A scheduled block sample by sample, of errors that are plausible. schedule (k,) or (k, 2):
-    where the law of every sample is taken; x, limited: as of ``FixedSteps``.
-    """
+@steps_of.register(ScheduledBlock)
+class ScheduledSteps(Steps):
+    """A scheduled block."""
 
     def __init__(
         self,
         block: ScheduledBlock,
-        schedule: np.ndarray,
+        told: np.ndarray,
         start: ArrayLike | None = None,
         single: bool = False,
     ) -> None:
         kind: Any = np.float32 if single else np.float64
-        self.limited, self._k = False, 0
+        schedule, self.known = follow_told(block, told)
+        self.schedule, self._k = schedule, 0
         self.x = np.zeros(block.n_states, kind) if start is None else np.array(start, dtype=kind)
         self._carry, self._floor = np.zeros_like(self.x), FLOOR["float" if single else "double"]
 
@@ -166,7 +185,6 @@ class ScheduledSteps:
         self._unwind, self._limit = block.unwind.astype(kind), block.current_limit.astype(kind)
 
     def step(self, e: np.ndarray) -> np.ndarray:
-        """Currents (p,) [A] from errors (m,) [m]."""
         k, self._k = self._k, self._k + 1
         z = np.concatenate([self.x, e.astype(self.x.dtype)])
         at = list(zip(self._index[k], self._share[k], strict=True))
@@ -183,45 +201,39 @@ class ScheduledSteps:
         return np.asarray(given)
 
 
-def run_supervised(
-    block: SupervisedBlock,
-    errors: ArrayLike,
-    told: ArrayLike,
-    valid: ArrayLike | None = None,
-    single: bool = False,
-) -> BlockRun:
-    """errors (k, m) [m]; told (k, 3) [Pa]: readings, estimates, their half widths, NaN and infinity
-    allowed; valid (k, m): the errors' flags (None: all true). From the start of the code, without
-    states that the caller set. Raises InvalidInput.
+@steps_of.register(SupervisedBlock)
+class SupervisedSteps(Steps):
+    """A schedule and the fixed controller that takes over, whoever is in charge. x (n,): the
+    states of the schedule.
     """
-    e, status = plausible_errors(block, errors, valid)
-    readings = np.asarray(told, dtype=float)
-    if readings.shape != (len(e), 3):
-        what = f"({len(e)}, 3), a reading, an estimate and its half width for every sample"
-        raise InvalidInput(f"the shape of the readings is {readings.shape}, but must be {what}")
-    twin = supervised_twin(block, np.float32 if single else np.float64)
-    e = e.astype(twin.laws.limit.dtype)
-    currents, schedule = np.empty((len(e), len(block.outputs))), np.empty(len(e))
-    with _single_flags(single):
-        for k, (value, *estimate) in enumerate(readings.tolist()):
-            twin.estimate = estimate[0], estimate[1]
-            twin.schedule(value)
-            currents[k] = twin.step(e[k])
-            status[k] |= supervised_bits(twin)
-        schedule[k] = twin.supervisor.value
-    states = twin.states.astype(float)
-    return BlockRun(currents, status, states, np.abs(states), schedule)
 
+    def __init__(
+        self,
+        block: SupervisedBlock,
+        told: np.ndarray,
+        start: ArrayLike | None = None,
+        single: bool = False,
+    ) -> None:
+        self.twin = supervised_twin(block, np.float32 if single else np.float64)
+        self.x, self._told = self.twin.states, iter(told.tolist())
 
-def supervised_bits(twin: SupervisedProgram) -> int:
-    """The status of the last step of a supervised block, without that of its errors."""
-    found = twin.supervisor
-    return (
-        LIMITED * int(twin.limited)
-        | found.state << STATE_AT
-        | found.fault << REASON_AT
-        | LATCHED * int(found.latched)
-    )
+    @property
+    def bits(self) -> int:
+        found = self.twin.supervisor
+        return (
+            LIMITED * int(self.twin.limited)
+            | found.state << STATE_AT
+            | found.fault << REASON_AT
+            | LATCHED * int(found.latched)
+        )
+
+    def step(self, e: np.ndarray) -> np.ndarray:
+        value, *estimate = next(self._told)
+        self.twin.estimate = estimate[0], estimate[1]
+        self.twin.schedule(value)
+        given = self.twin.step(e.astype(self.twin.laws.limit.dtype))
+        self.x = self.twin.states
+        return given
 
 
 def _add_compensated(
@@ -283,116 +295,69 @@ def _follow_one(
     return place, status
 
 
-def run_fixed(fixed: FixedBlock, errors: ArrayLike, valid: ArrayLike | None = None) -> BlockRun:
-    """Fixed point, bit by bit. errors (k, m): whole numbers of 2^-signal_bits error_limit; currents
-    likewise.
-    """
-    return _run_words(WordSteps(fixed), errors, valid)
-
-
-def run_fixed_cascade(
-    fixed: FixedCascade, errors: ArrayLike, valid: ArrayLike | None = None
-) -> BlockRun:
-    """Fixed point of a cascade, bit by bit: as ``run_fixed``."""
-    return _run_words(CascadeSteps(fixed), errors, valid)
-
-
-def _run_words(
-    steps: WordSteps | CascadeSteps, errors: ArrayLike, valid: ArrayLike | None
-) -> BlockRun:
-    e, good = usable_words(steps.fixed, errors, valid)
-    e, status = hold_last(e, good, steps.fixed.block.hold_samples)
-    currents = np.empty((len(e), len(steps.fixed.block.outputs)), np.int64)
-    largest = np.zeros(steps.fixed.block.n_states, np.int64)
-    for k in range(len(e)):
-        currents[k] = steps.step(e[k])
-        status[k] |= LIMITED * steps.limited
-        largest = np.maximum(largest, np.abs(steps.x))
-    return BlockRun(currents, status, steps.x, largest)
-
-
-def usable_words(
-    fixed: FixedBlock | FixedCascade, errors: ArrayLike, valid: ArrayLike | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """The errors (k, m) as whole numbers, and which of them (k, m) are used."""
-    given, good = _inputs(fixed.block, errors, valid)
-    e = given.astype(np.int64)
-    one = 1 << fixed.signal_bits
-    return e, good & (e >= -one) & (e <= one)
-
-
-class WordSteps:
-    """A fixed block in whole numbers, sample by sample, of errors that are plausible. x (n,): its
-    states; limited: whether the last step cut a current.
+class _Whole(Steps):
+    """A block in whole numbers. Shifts come with half a unit for rounding: of a state to a word, of
+    sums to outputs and to states.
     """
 
-    def __init__(self, fixed: FixedBlock) -> None:
+    def __init__(self, fixed: Words) -> None:
         n, s = fixed.block.n_states, fixed.signal_bits
-        self.fixed, self.limited = fixed, False
-        self.x = np.zeros(n, np.int64)
-        self._one, self._edge = 1 << s, 1 << fixed.state_bits
-        self._A, self._B = fixed.update[:, :n], fixed.update[:, n:]
-        self._C, self._D = fixed.output[:, :n], fixed.output[:, n:]
-
-        # shifts with half a unit for rounding: state to word, sums to outputs and to states
-        self._to_signal = _half(fixed.state_bits - s, n)
+        self.words, self.x = fixed, np.zeros(n, np.int64)
+        self._one, self._most = 1 << s, 1 << fixed.state_bits
+        self._to_signal, self._to_state = _half(fixed.state_bits - s, n), _half(fixed.update_shift)
         self._to_output, self._to_cut = _half(fixed.output_bits), _half(fixed.cut_bits)
-        self._to_state, self._to_unwinding = (
-            _half(bits + s - fixed.state_bits) for bits in (fixed.update_bits, fixed.unwind_bits)
-        )
-
-    def step(self, e: np.ndarray) -> np.ndarray:
-        """Currents (p,) from errors (m,)."""
-        # currents: C x + D e, then the limit
-        x = _shift(self.x, *self._to_signal)
-        u = _shift(self._D @ e + self._C @ x, *self._to_output)
-        given = np.minimum(np.maximum(u, -self._one), self._one)
-
-        # states: increment and, where limited, the unwinding; both have state_bits
-        step = _shift(self._B @ e + self._A @ x, *self._to_state)
-        self.limited = bool((given != u).any())
-        if self.limited:
-            cut = _shift(given - u, *self._to_cut)
-            step = step + _shift(self.fixed.unwind @ cut, *self._to_unwinding)
-        self.x = np.minimum(np.maximum(self.x + step, -self._edge), self._edge)
-        return given
-
-
-class CascadeSteps:
-    """A cascade in whole numbers, sample by sample: as ``WordSteps``."""
-
-    def __init__(self, fixed: FixedCascade) -> None:
-        n, s = fixed.block.n_states, fixed.signal_bits
-        self.fixed, self.limited = fixed, False
-        self.x = np.zeros(n, np.int64)
-        self._one, self._edge = 1 << s, 1 << fixed.state_bits
-        # what shifts cut off channels' inputs (c,) and increments (n,), for the next sample
-        self._kept, self._rest = np.zeros(len(fixed.block.into), np.int64), np.zeros(n, np.int64)
-        self._to_signal = _half(fixed.state_bits - s, n)
-        self._to_output, self._to_cut = _half(fixed.output_bits), _half(fixed.cut_bits)
-        self._to_input, self._to_section = _half(fixed.into_bits), _half(fixed.section_bits)
-        self._to_state = _half(fixed.update_shift)
         self._to_unwinding = _half(fixed.unwind_bits + s - fixed.state_bits)
 
     def step(self, e: np.ndarray) -> np.ndarray:
-        """Currents (p,) from errors (m,)."""
-        fixed, one = self.fixed, self._one
-        at, sums = self._sections(self._mixed(e))
-
         # currents and their limit
-        u = _shift(fixed.output @ at, *self._to_output)
-        given = np.minimum(np.maximum(u, -one), one)
+        signals, step = self._follow(e)
+        u = _shift(self.words.output @ signals, *self._to_output)
+        given = np.minimum(np.maximum(u, -self._one), self._one)
 
-        # increments with the fraction saved, then the unwinding
-        sums += self._rest
-        step = _shift(sums, *self._to_state)
-        self._rest = sums - (step << fixed.update_shift)
+        # states: increment and, where limited, the unwinding; both have state_bits
         self.limited = bool((given != u).any())
         if self.limited:
             cut = _shift(given - u, *self._to_cut)
-            step = step + _shift(fixed.unwind @ cut, *self._to_unwinding)
-        self.x = np.minimum(np.maximum(self.x + step, -self._edge), self._edge)
+            step = step + _shift(self.words.unwind @ cut, *self._to_unwinding)
+        self.x = np.minimum(np.maximum(self.x + step, -self._most), self._most)
         return given
+
+    def _follow(self, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The signals that the currents are sums of, and the states' increments (n,)."""
+        raise NotImplementedError
+
+
+@steps_of.register(FixedBlock)
+class WordSteps(_Whole):
+    """A block in modal form."""
+
+    def __init__(self, fixed: FixedBlock, *rest: object) -> None:
+        super().__init__(fixed)
+        self._update = fixed.update
+
+    def _follow(self, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        z = np.concatenate([_shift(self.x, *self._to_signal), e])
+        return z, _shift(self._update @ z, *self._to_state)
+
+
+@steps_of.register(FixedCascade)
+class CascadeSteps(_Whole):
+    """A cascade."""
+
+    def __init__(self, fixed: FixedCascade, *rest: object) -> None:
+        super().__init__(fixed)
+        self.fixed = fixed
+        # what shifts cut off channels' inputs (c,) and increments (n,), for the next sample
+        self._kept, self._rest = np.zeros(len(fixed.block.into), np.int64), 0 * self.x
+        self._to_input, self._to_section = _half(fixed.into_bits), _half(fixed.section_bits)
+
+    def _follow(self, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        # increments with the fraction saved
+        at, sums = self._sections(self._mixed(e))
+        sums += self._rest
+        step = _shift(sums, *self._to_state)
+        self._rest = sums - (step << self.fixed.update_shift)
+        return at, step
 
     def _mixed(self, e: np.ndarray) -> np.ndarray:
         """v = into e, with the fraction saved."""
@@ -433,35 +398,21 @@ def _shift(value: np.ndarray, bits: np.ndarray, half: np.ndarray) -> np.ndarray:
     return np.sign(value) * ((np.abs(value) + half) >> bits)
 
 
-def plausible_errors(
-    block: Block, errors: ArrayLike, valid: ArrayLike | None
+def usable(
+    law: Block | Words, errors: ArrayLike, valid: ArrayLike | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The errors (k, m) [m] that are used, and the status (k,) so far."""
-    e, good = usable_errors(block, errors, valid)
-    return hold_last(e, good, block.hold_samples)
-
-
-def usable_errors(
-    block: Block, errors: ArrayLike, valid: ArrayLike | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """The errors (k, m) [m] as measured, and which of them (k, m) are used."""
-    e, good = _inputs(block, np.asarray(errors, dtype=float), valid)
-    with np.errstate(invalid="ignore"):
-        return e, good & (np.abs(e) <= block.error_limit)
-
-
-def _inputs(
-    block: Block, errors: ArrayLike, valid: ArrayLike | None
-) -> tuple[np.ndarray, np.ndarray]:
-    e = np.asarray(errors)
-    if e.ndim != 2 or e.shape[1] != len(block.inputs):
+    """The errors (k, m) as measured, and which of them (k, m) are used. Raises InvalidInput."""
+    e = np.asarray(errors, law.number)
+    if e.ndim != 2 or e.shape[1] != len(law.base.inputs):
         raise InvalidInput(
-            f"the shape of errors is {e.shape}, but must be (k, {len(block.inputs)}); give one "
+            f"the shape of errors is {e.shape}, but must be (k, {len(law.base.inputs)}); give one "
             "column per axis"
         )
-    if valid is None:
-        return e, np.ones(e.shape, bool)
-    return e, check_shape(valid, "valid", "(k, m)", k=len(e), m=e.shape[1]) != 0
+    good = np.ones(e.shape, bool)
+    if valid is not None:
+        good = check_shape(valid, "valid", "(k, m)", k=len(e), m=e.shape[1]) != 0
+    with np.errstate(invalid="ignore"):
+        return e, good & (np.abs(e) <= law.edge)
 
 
 def hold_last(e: np.ndarray, good: np.ndarray, hold: int) -> tuple[np.ndarray, np.ndarray]:
@@ -478,134 +429,6 @@ def hold_last(e: np.ndarray, good: np.ndarray, hold: int) -> tuple[np.ndarray, n
         (missing > hold).any(axis=1), FAULT, 0
     )
     return filled, status
-
-
-# Operations and memory of one step of the generated code.
-
-
-# of a signal, of a state
-_BYTES = {"double": (8, 8), "float": (4, 4), "fixed32": (4, 8), "fixed16": (2, 4)}
-
-
-@dataclass(frozen=True, slots=True)
-class Cost:
-    """Multiplications and additions of a step, ``limited`` more of each while a current is cut;
-    bytes of state and tables.
-    """
-
-    multiplications: int
-    additions: int
-    limited: int
-    state_bytes: int
-    table_bytes: int
-
-
-def diagonals_of(x: np.ndarray) -> list[int]:
-    """The offsets (positive above) of the diagonals of x (n, n) that are not zero."""
-    return [k for k in range(1 - len(x), len(x)) if np.diagonal(x, k).any()]
-
-
-def padding_of(block: Block) -> tuple[int, int]:
-    """How many places before and after the states the diagonals of A - I reach; a cascade has
-    none.
-    """
-    offsets = [] if isinstance(block, CascadeBlock) else diagonals_of(increment_of(block))
-    return max(0, -min(offsets, default=0)), max(0, max(offsets, default=0))
-
-
-def increment_of(block: Block) -> np.ndarray:
-    """A - I (n, n), of a schedule what is the same at every point."""
-    if isinstance(block, ScheduledBlock):
-        return block.changes.fixed[: block.n_states, : block.n_states]
-    return block.increment
-
-
-def step_cost(block: ControlBlock, arithmetic: str) -> Cost:
-    """Counted as the code does it: whole diagonals of A - I, dense B, C and (where not zero) D; of
-    a cascade its sections.
-    """
-    n = block.n_states
-    m = len(block.inputs)
-    p = len(block.outputs)
-    w = block.winding
-
-    # products: diagonals of A - I, B, C and D
-    direct = m * p if block.D.any() else 0
-    products = len(diagonals_of(block.increment)) * n + n * m + n * p + direct
-    signal, state = _BYTES[arithmetic]
-    floating = arithmetic in {"double", "float"}
-    if isinstance(block, CascadeBlock):
-        # a cascade: per state a and b, in whole numbers the factor between ranges as well; d of
-        # each section; out, and into where channels are mixed
-        per_state = 2 if floating else 3  # and a feedthrough of every section
-        products = per_state * n + len(block.stages) + m * p + (m * m if block.mixes else 0)
-
-    # kept between samples: what compensated sums lost, or the fractions saved
-    carry = (
-        w * signal
-        if floating
-        else (n + m * block.mixes) * state
-        if isinstance(block, CascadeBlock)
-        else 0
-    )
-
-    # coefficients with the unwinding, limits and transfer, then the shifts of the rows, a byte each
-    tables = products + w * p + (m + p if floating else 0) + (n * (m + p) if block.transfers else 0)
-    shifts = 0 if floating else n + 2 * p + (n if block.transfers else 0)
-    return Cost(
-        multiplications=products,
-        additions=products + n + (3 * w if floating else 0),
-        limited=w * p,
-        state_bytes=(n + sum(padding_of(block))) * state + carry + m * (signal + 2),
-        table_bytes=tables * signal + shifts,
-    )
-
-
-def scheduled_cost(block: ScheduledBlock, arithmetic: str) -> Cost:
-    """Counted as the code does it: whole diagonals of the fixed A - I, dense B, C and D, and few
-    signals for what changes.
-    """
-    n = block.n_states
-    m = len(block.inputs)
-    p = len(block.outputs)
-    k = len(block.B)
-    (r, q), size = block.changes.ranks, _BYTES[arithmetic][0]
-    d, places = len(block.axes), sum(len(axis) for axis in block.axes)
-    points = 2**d  # around a value
-    fixed = len(diagonals_of(increment_of(block))) * n + n * m + n * p + m * p
-
-    # left (n + p, r) and right (q, n + m); core (r, q) at every corner of the cell
-    around = r * (n + p) + q * (n + m)
-    transfer = k * n * (m + p) if block.transfers else 0
-    cost = Cost(
-        multiplications=fixed + around + points * q * (r + 1) + 4 * (d - 1),
-        additions=fixed + around + points * q * r + 3 * n + 4 * d,
-        limited=points * p * (n + 1),
-        state_bytes=(2 * n + sum(padding_of(block)) + m + 2 * d) * size + 2 * (m + 3 * d),
-        table_bytes=(fixed + around + k * (r * q + n * p) + places + transfer + m + p + 2 * d)
-        * size,
-    )
-    return _with_fallback(cost, block, size) if isinstance(block, SupervisedBlock) else cost
-
-
-def _with_fallback(cost: Cost, block: SupervisedBlock, size: int) -> Cost:
-    """The fixed law besides, whichever of the two is led because it waits, and what is left of the
-    difference.
-    """
-    fixed = block.fallback
-    p = len(block.outputs)
-    m = len(block.inputs)
-    n = block.fallback.n_states
-    products = len(diagonals_of(fixed.increment)) * n + n * (m + p) + m * p
-    led, numbers = max(fixed.winding * p, 2 * p * (block.n_states + 1)), 12
-    transfer = n * (m + p) if block.transfers else 0
-    return Cost(
-        multiplications=cost.multiplications + products + led + 2 * p + 2,
-        additions=cost.additions + products + 3 * n + led + 6 * p + 12,
-        limited=cost.limited,
-        state_bytes=cost.state_bytes + (2 * n + sum(padding_of(fixed)) + p + 2) * size + 26,
-        table_bytes=cost.table_bytes + (products + fixed.winding * p + transfer + numbers) * size,
-    )
 
 
 # Test vectors: a short run of a block that meets every branch, with what the block in Python
@@ -639,52 +462,58 @@ class Vectors:
     moves: np.ndarray | None = None
 
 
-def make_vectors(
-    block: ControlBlock, fixed: FixedBlock | FixedCascade | None = None, single: bool = False
-) -> Vectors:
-    """Small and large errors, limiting, flags, values out of range, silence. fixed: the answer in
-    whole numbers; single: errors that single precision holds.
+@singledispatch
+def vectors_of(law: Block | Words, single: bool = False) -> Vectors:
+    """Small and large errors, limiting, flags, values out of range, silence; of a scheduled block
+    with speeds or pressures, sweeps beyond both ends, limiting everywhere, grid points, none; of a
+    supervised block readings of every kind. single: errors that single precision holds; of words
+    the answer in whole numbers.
     """
-    e, valid = _errors(len(block.inputs), _SAMPLES)
+    raise NotImplementedError
+
+
+@vectors_of.register
+def _(law: ControlBlock, single: bool = False) -> Vectors:
+    e, valid = _branches(len(law.inputs))
+    return _answered(law, _held_exactly(e * law.error_limit, single), valid)
+
+
+@vectors_of.register
+def _(law: Words, single: bool = False) -> Vectors:
+    e, valid = _branches(len(law.block.inputs))
+    most = 2 ** (law.word - 1) - 1
+    return _answered(law, np.clip(np.round(e * law.edge), -most, most).astype(np.int64), valid)
+
+
+def _branches(m: int) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (k, m) in parts of their limits, and flags, that meet every branch of a fixed
+    block.
+    """
+    e, valid = _errors(m, _SAMPLES)
 
     # long limiting, an implausible value, a flag that outlasts the hold
     e[40:60] = 1.0
     e[70] = 3.0  # implausible
     valid[64:82, -1] = 0
-    if fixed is not None:
-        words = np.clip(
-            np.round(e * (1 << fixed.signal_bits)),
-            1 - 2 ** (fixed.word - 1),
-            2 ** (fixed.word - 1) - 1,
-        )
-        e = words.astype(np.int64)
-        run = (
-            run_fixed_cascade(fixed, e, valid)
-            if isinstance(fixed, FixedCascade)
-            else run_fixed(fixed, e, valid)
-        )
-    else:
-        e = _held_exactly(e * block.error_limit, single)
-        run = run_block(block, e, valid)
-    return Vectors(e, valid, run.currents, run.status)
+    return e, valid
 
 
-def make_scheduled_vectors(block: ScheduledBlock, single: bool = False) -> Vectors:
-    """The same with speeds or pressures: sweeps beyond both ends, limiting everywhere, grid points,
-    none; of a supervised block readings of every kind.
-    """
-    if isinstance(block, SupervisedBlock):
-        return _supervised_vectors(block, single)
+def _answered(law: Block | Words, e: np.ndarray, valid: np.ndarray) -> Vectors:
+    found = run_of(law, e, valid=valid)
+    return Vectors(e, valid, found.currents, found.status)
 
+
+@vectors_of.register
+def _(law: ScheduledBlock, single: bool = False) -> Vectors:
     # rows: a sweep beyond both ends, limiting over the range, every grid point, silence
-    k = max(len(axis) for axis in block.axes)
+    k = max(len(axis) for axis in law.axes)
     limited = max(24, 2 * k)
-    e, valid = _errors(len(block.inputs), _SWEEP + limited + k + _TAIL)
+    e, valid = _errors(len(law.inputs), _SWEEP + limited + k + _TAIL)
     e[30] = 3.0  # implausible
     e[_SWEEP : _SWEEP + limited] = 1.0
     valid[40:58, -1] = 0
     columns = []
-    for i, (axis, limit) in enumerate(zip(block.axes, block.told_limits, strict=True)):
+    for i, (axis, limit) in enumerate(zip(law.axes, law.told_limits, strict=True)):
         low, high = float(axis[0]), float(axis[-1])
         wide = np.linspace(low - 0.1 * (high - low), high + 0.1 * (high - low), _SWEEP)
         points = axis[np.minimum(np.arange(k), len(axis) - 1)]
@@ -701,36 +530,30 @@ def make_scheduled_vectors(block: ScheduledBlock, single: bool = False) -> Vecto
         column[:2], column[-4:] = np.nan, [2 * limit, low, high, low]
         columns.append(np.roll(column, 5 * i))  # so that one is told while the other is not
     told = columns[0] if len(columns) == 1 else np.stack(columns, axis=1)
-    e, told = _held_exactly(e * block.error_limit, single), _held_exactly(told, single)
-    run = run_scheduled(block, e, told, valid)
+    e, told = _held_exactly(e * law.error_limit, single), _held_exactly(told, single)
+    found = run_of(law, e, told, valid)
 
     # what single precision makes of the same run
-    rounding = np.abs(
-        run_scheduled(block, e, told, valid, single=True).currents - run.currents
-    ).max(axis=0)
-    return Vectors(
-        e,
-        valid,
-        run.currents,
-        run.status,
-        told,
-        tuple(one.name for one in block.along.each),
-        rounding,
+    rounding = np.abs(run_of(law, e, told, valid, single=True).currents - found.currents).max(
+        axis=0
     )
+    names = tuple(one.name for one in law.along.each)
+    return Vectors(e, valid, found.currents, found.status, told, names, rounding)
 
 
-def _supervised_vectors(block: SupervisedBlock, single: bool) -> Vectors:
-    """Every doubt and every change of who is in charge; long waits are one row each, in silence."""
-    watch, (low, high) = block.watch, block.range
+@vectors_of.register
+def _(law: SupervisedBlock, single: bool = False) -> Vectors:
+    # every doubt and every change of who is in charge; long waits are one row each, in silence
+    watch, (low, high) = law.watch, law.range
     band, wide = watch.band, high - low
 
     # waits [samples], cut to a row's longest; move is within the step that is allowed between
     # samples, below within the margin of the range
     fade, dwell, crossing = (
-        min(block.samples(t) or 0, _LONGEST) for t in (watch.fade, watch.dwell, wide / watch.rate)
+        min(law.samples(t) or 0, _LONGEST) for t in (watch.fade, watch.dwell, wide / watch.rate)
     )
-    move = min(1e-4 * wide, 0.5 * (watch.noise or watch.rate * block.sample_time))
-    stuck, below = min(block.samples(watch.stuck) or 8, _LONGEST), min(0.5 * watch.margin, move)
+    move = min(1e-4 * wide, 0.5 * (watch.noise or watch.rate * law.sample_time))
+    stuck, below = min(law.samples(watch.stuck) or 8, _LONGEST), min(0.5 * watch.margin, move)
     other, none = low + 0.7 * wide, np.nan
     rows = [  # reading, estimate, half width, samples each, how many, kind of error, moves
         (low, none, none, 1, 16, "all", 0.0),
@@ -767,12 +590,12 @@ def _supervised_vectors(block: SupervisedBlock, single: bool) -> Vectors:
         np.repeat([row[6] for row in rows], counts),
     )
     kind = np.repeat([row[5] for row in rows], counts)
-    e, valid = _errors(len(block.inputs), len(told))
+    e, valid = _errors(len(law.inputs), len(told))
     e *= 0.05  # so that most currents are within their limits
     e[kind == "most"], e[kind == "none"] = 1.0, 0.0
     flagged = np.flatnonzero(kind == "flags")
     e[flagged[0]], valid[flagged[1:], -1] = 3.0, 0
-    e, told, moves = (_held_exactly(x, single) for x in (e * block.error_limit, told, moves))
+    e, told, moves = (_held_exactly(x, single) for x in (e * law.error_limit, told, moves))
 
     # every second sample of a row has its move added; a row's last sample is compared
     odd = np.concatenate([np.arange(n) % 2 for n in times])
@@ -782,14 +605,19 @@ def _supervised_vectors(block: SupervisedBlock, single: bool) -> Vectors:
         (np.repeat(e, times, axis=0), readings, np.repeat(valid, times, axis=0)),
         np.cumsum(times) - 1,
     )
-    run = run_supervised(block, *inputs)
-    rounding = np.abs(run_supervised(block, *inputs, single=True).currents - run.currents)[
-        last
-    ].max(axis=0)
-    names = ("pressure", "estimate", "half_width")
+    found, single_run = run_of(law, *inputs), run_of(law, *inputs, single=True)
+    rounding = np.abs(single_run.currents - found.currents)[last].max(axis=0)
     told[~np.isfinite(told)] = np.nan
     return Vectors(
-        e, valid, run.currents[last], run.status[last], told, names, rounding, times, moves
+        e,
+        valid,
+        found.currents[last],
+        found.status[last],
+        told,
+        law.told,
+        rounding,
+        times,
+        moves,
     )
 
 

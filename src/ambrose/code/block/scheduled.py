@@ -29,14 +29,18 @@ import scipy.linalg as sla
 from numpy.typing import ArrayLike
 
 from ambrose.code.block.block import (
+    BYTES,
     HEADROOM,
     HOLD_SAMPLES,
+    STATE_AT,
     WINDUP_TIME,
     Block,
     ControlBlock,
+    Cost,
     Settings,
     anti_windup_gain,
     check_settings,
+    diagonals_of,
     names_in_code,
     slow_states,
     transfer_gains,
@@ -55,7 +59,7 @@ from ambrose.core.matrix_inequalities import Inequality, minimise, smat, svec
 from ambrose.core.scheduled import ScheduledSystem, corners, grid_points, interval_points
 from ambrose.core.statespace import StateSpace
 from ambrose.law.law import SPEED, Scheduling, law_of
-from ambrose.law.supervision import Limits, Matrices, SupervisedLaws, SupervisedProgram
+from ambrose.law.supervision import Limits, Matrices, State, SupervisedLaws, SupervisedProgram
 
 # What changes over the grid of a schedule, as few signals: seals and speed enter a rotor at few
 # places.
@@ -344,6 +348,61 @@ class ScheduledBlock(Block):
     @property
     def transfers(self) -> bool:
         return self.passes > 0
+
+    @property
+    def fixed_increment(self) -> np.ndarray:
+        return self.changes.fixed[: self.n_states, : self.n_states]
+
+    @property
+    def winding(self) -> int:
+        """How many states wind up: all."""
+        return self.n_states
+
+    def middle(self) -> tuple[float, ...]:
+        return tuple(float(axis[0] + axis[-1]) / 2 for axis in self.axes)
+
+    def tables(self) -> dict[str, np.ndarray]:
+        """The numbers of the code, as they lie in memory."""
+        n, changes = self.n_states, self.changes
+        return {
+            "error_limit": self.error_limit,
+            "current_limit": self.current_limit,
+            "grid": self.axes[0],
+            "D": changes.fixed[n:, n:].T,
+            "B": changes.fixed[:n, n:].T,
+            "C": changes.fixed[n:, :n].T,
+            "unwind": self.unwind.transpose(0, 2, 1),
+            "of_error": changes.right[:, n:].T,
+            "core": changes.core.transpose(0, 2, 1),
+            "on_current": changes.left[n:].T,
+            "of_state": changes.right[:, :n].T,
+            "on_state": changes.left[:n].T,
+            "steady": self.steady.transpose(0, 2, 1),
+            "pick": self.pick.transpose(0, 2, 1),
+        }
+
+    def cost(self, arithmetic: str) -> Cost:
+        """Of a step as the code does it: whole diagonals of the fixed A - I, dense B, C and D, and
+        few signals for what changes.
+        """
+        n, k = self.n_states, len(self.B)
+        m, p = len(self.inputs), len(self.outputs)
+        (r, q), size = self.changes.ranks, BYTES[arithmetic][0]
+        d, places = len(self.axes), sum(len(axis) for axis in self.axes)
+        points = 2**d  # around a value
+        fixed = len(diagonals_of(self.fixed_increment)) * n + n * m + n * p + m * p
+
+        # left (n + p, r) and right (q, n + m); core (r, q) at every corner of the cell
+        around = r * (n + p) + q * (n + m)
+        transfer = k * n * (m + p) * self.transfers
+        return Cost(
+            multiplications=fixed + around + points * q * (r + 1) + 4 * (d - 1),
+            additions=fixed + around + points * q * r + 3 * n + 4 * d,
+            limited=points * p * (n + 1),
+            state_bytes=(2 * n + sum(self.padding) + m + 2 * d) * size + 2 * (m + 3 * d),
+            table_bytes=(fixed + around + k * (r * q + n * p) + places + transfer + m + p + 2 * d)
+            * size,
+        )
 
     @property
     def grid(self) -> np.ndarray:
@@ -702,6 +761,9 @@ class SupervisedBlock(ScheduledBlock):
     def told(self) -> tuple[str, ...]:
         return (*(one.name for one in self.along.each), "estimate", "half_width")
 
+    def middle(self) -> tuple[float, ...]:
+        return (*ScheduledBlock.middle(self), np.nan, np.nan)
+
     @property
     def transfers(self) -> bool:
         return self.passes > 0 and self.fallback.transfers
@@ -712,6 +774,28 @@ class SupervisedBlock(ScheduledBlock):
         """
         return replace(
             ScheduledBlock.single(self), fallback=self.fallback.single(), watch=_single(self.watch)
+        )
+
+    def in_charge(self, status: int) -> bool:
+        return status >> STATE_AT & 3 == State.SCHEDULED
+
+    def cost(self, arithmetic: str) -> Cost:
+        """Of a step: the fixed law besides, whichever of the two is led because it waits, and what
+        is left of the difference.
+        """
+        cost, size = ScheduledBlock.cost(self, arithmetic), BYTES[arithmetic][0]
+        fixed, n = self.fallback, self.fallback.n_states
+        m, p = len(self.inputs), len(self.outputs)
+        products = len(diagonals_of(fixed.increment)) * n + n * (m + p) + m * p
+        led, numbers = max(fixed.winding * p, 2 * p * (self.n_states + 1)), 12
+        transfer = n * (m + p) * self.transfers
+        return Cost(
+            multiplications=cost.multiplications + products + led + 2 * p + 2,
+            additions=cost.additions + products + 3 * n + led + 6 * p + 12,
+            limited=cost.limited,
+            state_bytes=cost.state_bytes + (2 * n + sum(fixed.padding) + p + 2) * size + 26,
+            table_bytes=cost.table_bytes
+            + (products + fixed.winding * p + transfer + numbers) * size,
         )
 
     def samples(self, duration: float) -> int | None:

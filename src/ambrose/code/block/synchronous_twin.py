@@ -9,6 +9,7 @@ bits.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -381,12 +382,14 @@ class _Running:
 
 
 class SynchronousTwin:
-    """All blocks in whole numbers, running. ``step`` is one sample."""
+    """All blocks in whole numbers, running. ``step`` is one sample. up: by how many bits its
+    signals are shorter than Q30.
+    """
 
-    __slots__ = ("angle", "running", "words")
+    __slots__ = ("angle", "running", "up", "words")
 
-    def __init__(self, words: SynchronousWords) -> None:
-        self.words = words
+    def __init__(self, words: SynchronousWords, up: int = 0) -> None:
+        self.words, self.up = words, up
         self.begin()
 
     def begin(self) -> None:
@@ -418,17 +421,20 @@ class SynchronousTwin:
     def step(
         self,
         pulse: int,
-        errors: list[int],
-        currents: list[int],
+        errors: Iterable[int],
+        currents: Iterable[int],
         contact: bool = False,
         saturated: bool = False,
         enabled: bool = True,
         unusable: bool = False,
     ) -> list[int]:
-        """c (n,) of this sample, Q30 of the error limits; pulse: as ``AngleWords.follow``; errors,
-        currents (n,): Q30; the flags as of ``SynchronousBlock.step``.
+        """c (n,) of this sample, Q(30 - up) of the error limits; pulse: as ``AngleWords.follow``;
+        errors, currents (n,): all Q(30 - up); the flags as of ``SynchronousBlock.step``.
         """
-        fault = self.angle.follow(pulse)
+        errors, currents = (
+            [int(value) << self.up for value in part] for part in (errors, currents)
+        )
+        fault = self.angle.follow(pulse << self.up)
         fault |= BlockFault.CONTACT * contact | BlockFault.SATURATED * saturated
         if unusable or any(abs(e) > ONE for e in errors):
             fault |= BlockFault.INPUT
@@ -447,7 +453,7 @@ class SynchronousTwin:
         c = [limited(value, LARGEST) for value in total]
         for block, run, turn in zip(self.words.blocks, self.running, turns, strict=True):
             self._learn(block, run, turn, errors, c, currents)
-        return c
+        return [limited(shifted(value, self.up), LARGEST >> self.up) for value in c]
 
     def turn(self, harmonic: int) -> tuple[int, int]:
         """Cosine and sine of n theta in Q30."""

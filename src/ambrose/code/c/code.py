@@ -14,44 +14,32 @@ import re
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import singledispatch
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
 
-from ambrose.code.block.block import Block, ControlBlock, as_comment, render
-from ambrose.code.block.cascade import (
-    CascadeBlock,
-    FixedCascade,
-    cascade_error,
-    to_fixed_cascade,
-    word_errors,
+from ambrose.code.block.block import (
+    TOLD,
+    TOLD_SECOND,
+    Block,
+    ControlBlock,
+    as_comment,
+    diagonals_of,
+    render,
 )
 from ambrose.code.block.fixed_point import (
-    BITS,
     HORIZON,
     LARGEST_ERROR,
     MANTISSA,
-    FixedBlock,
+    Words,
     floating_error,
     gain_error,
-    to_fixed_point,
+    in_words,
     word_lengths,
 )
-from ambrose.code.block.run import (
-    FLOOR,
-    TOLD,
-    TOLD_SECOND,
-    Vectors,
-    as_csv,
-    diagonals_of,
-    increment_of,
-    make_scheduled_vectors,
-    make_vectors,
-    padding_of,
-    scheduled_cost,
-    step_cost,
-)
+from ambrose.code.block.run import FLOOR, Vectors, as_csv, vectors_of
 from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock
 from ambrose.code.interface import KINDS, TYPES, interface_of
 from ambrose.core.checks import InvalidInput, invalid
@@ -92,8 +80,11 @@ def literal(value: float, arithmetic: str) -> str:
 
 
 def real_table(arithmetic: str) -> Callable[[np.ndarray], str]:
-    """The function that writes an array as a C initialiser of floating-point numbers."""
-    return lambda x: _initialiser(x, lambda v: literal(float(v), arithmetic))
+    """The function that writes an array as a C initialiser: floating-point numbers, whole ones as
+    they are.
+    """
+    real = lambda v: literal(float(v), arithmetic)  # noqa: E731
+    return lambda x: _initialiser(x, real) if x.dtype.kind == "f" else integer_table(x)
 
 
 def integer_table(x: np.ndarray) -> str:
@@ -243,7 +234,8 @@ def supervision_facts(
     fixed = block.fallback
     watch = block.watch
     dt = block.sample_time
-    low, high = padding_of(fixed)
+    low, high = fixed.padding
+    tables = _tables(fixed, table)
     fade, dwell, stuck = (block.samples(time) for time in (watch.fade, watch.dwell, watch.stuck))
     watched = math.isfinite(watch.rate)
     law = {
@@ -254,13 +246,7 @@ def supervision_facts(
         "low": low,
         "padded": fixed.n_states + low + high,
         "winding": fixed.winding,
-        "B": table(fixed.B.T),
-        "C": table(fixed.C.T),
-        "D": table(fixed.D.T),
-        "unwind": table(fixed.unwind[: fixed.winding].T),
-        "diagonals": [
-            {**d, "table": table(d["entries"])} for d in diagonals(fixed.increment, fixed.increment)
-        ],
+        **tables,
     }
     numbers = {
         "rate": watch.rate * dt if watched else 0.0,
@@ -285,8 +271,8 @@ def supervision_facts(
         "fade": fade,
         "dwell": dwell,
         "stuck": stuck or 0,
-        "transfer_error": table(fixed.from_error.T),
-        "transfer_current": table(fixed.from_output.T),
+        "transfer_error": tables["transfer_error"],
+        "transfer_current": tables["transfer_current"],
         "states": [item.name for item in State],
         "reasons": ["NO_DOUBT", *(item.name for item in Fault if item)],
         "doubts": doubts,
@@ -318,56 +304,90 @@ def generate(
     for the header: where the controller comes from and what it was verified on. Raises
     InvalidInput.
     """
-    if isinstance(block, ScheduledBlock):
-        check_precision(arithmetic)
-    elif arithmetic not in get_args(Arithmetic):
+    if arithmetic not in get_args(Arithmetic):
         raise invalid(
             "arithmetic", repr(arithmetic), " or ".join(get_args(Arithmetic)), "choose one of them"
         )
     if arithmetic == "float":
         block = block.single()
-    if isinstance(block, ScheduledBlock):
-        run = make_scheduled_vectors(block, arithmetic == "float")
-        facts = {**_facts(block, arithmetic, provenance), **_schedule_facts(block, arithmetic)}
-        tables = _scheduled_tables(block, arithmetic)
-        report = _scheduled_report(block, run)
-        kind = "scheduled"
-        source, tolerance = "scheduled.c.j2", scheduled_tolerance(block, run, arithmetic)
-    else:
-        fixed = in_words(block, WORDS[arithmetic], largest_error) if arithmetic in WORDS else None
-        run = make_vectors(block, fixed, single=arithmetic == "float")
-        facts = {**_facts(block, arithmetic, provenance), **_word_facts(block, fixed)}
-        tables = _floating_tables(block, arithmetic) if fixed is None else _fixed_tables(fixed)
-        bound = cascade_error if isinstance(block, CascadeBlock) else floating_error
-        error = bound(block, MANTISSA[arithmetic]) if fixed is None else fixed.error  # type: ignore[arg-type]
-        report, kind = _fixed_report(block, fixed, error), "controller"
-        source = (
-            f"{'cascade' if facts['cascade'] else kind}{'' if fixed is None else '_fixed'}.c.j2"
-        )
-        within = (
-            cascade_error(block, MANTISSA["float"], len(run.errors))
-            if isinstance(block, CascadeBlock)
-            else error
-        )
-        tolerance = {"double": _DOUBLE_TOLERANCE * block.raw_limit, "float": within}.get(
-            arithmetic, 0 * error
-        )
+    parts = parts_in(block, arithmetic, largest_error)
+    facts, kind = _facts(block, arithmetic, provenance) | parts.facts, parts.kind
+    source = render(f"{parts.source}.c.j2", facts | parts.tables)
+    facts |= identity_facts(block.name, source, code_types(arithmetic))
     texts = {
         ".h": (f"{kind}.h.j2", {}),
-        ".c": (source, tables),
-        "_test.c": ("selftest.c.j2", _replay(run, tolerance, arithmetic)),
-        "_report.md": (f"{kind}_report.md.j2", report),
+        "_test.c": ("selftest.c.j2", _replay(parts.run, parts.tolerance, arithmetic)),
+        "_report.md": (f"{kind}_report.md.j2", parts.report),
     }
-    template, values = texts.pop(".c")
-    source = render(template, {**facts, **values})
-    known = identity_facts(block.name, source, code_types(arithmetic))
-    files = {f"{block.name}.c": with_identity(source, known)}
-    facts |= known
-    files |= {
-        f"{block.name}{end}": render(template, {**facts, **values})
+    written = {
+        f"{block.name}{end}": render(template, facts | values)
         for end, (template, values) in texts.items()
     }
-    return {**files, f"{block.name}_vectors.csv": as_csv(block, run)}
+    own = {f"{block.name}.c": with_identity(source, facts)}
+    return own | written | {f"{block.name}_vectors.csv": as_csv(block, parts.run)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Parts:
+    """What the files of a block say beside what all share: the templates' names, of header and
+    report (kind) and of the source; facts; tables of the source; the report; the vectors, and how
+    far code may be from them (p,) [A].
+    """
+
+    kind: str
+    source: str
+    facts: dict[str, Any]
+    tables: dict[str, Any]
+    report: dict[str, Any]
+    run: Vectors
+    tolerance: np.ndarray
+
+
+@singledispatch
+def parts_in(block: Block, arithmetic: str, largest_error: float = LARGEST_ERROR) -> Parts:
+    """The parts of a block in an arithmetic. Raises InvalidInput."""
+    raise NotImplementedError
+
+
+@parts_in.register
+def _(block: ControlBlock, arithmetic: str, largest_error: float = LARGEST_ERROR) -> Parts:
+    word = WORDS.get(arithmetic, 0)
+    fixed = in_words(block, word, largest_error) if word else None
+    law, table = fixed or block, integer_table if word else real_table(arithmetic)
+    run, facts = vectors_of(law, arithmetic == "float"), _word_facts(block, fixed, table)
+    error = fixed.error if fixed else floating_error(block, MANTISSA[arithmetic])
+    form = "cascade" if facts["cascade"] else "controller"
+    tolerance = 0 * error
+    if not word:
+        # of a cascade over the samples of the test alone
+        steps = len(run.errors) if facts["cascade"] else HORIZON
+        tolerance = tolerance_in(arithmetic, block, floating_error(block, MANTISSA["float"], steps))
+    report = {
+        "sizes": ", ".join(str(k) for k in block.sizes) or "none",
+        "outputs": _output_rows(block, error),
+        "horizon": HORIZON,
+        "rows": _formats(fixed) if fixed else [],
+        "word_lengths": word_lengths(block),
+    }
+    tables = _tables(law, table) | {"floor": "" if word else literal(FLOOR[arithmetic], arithmetic)}
+    source = f"{form}_fixed" if word else form
+    return Parts("controller", source, facts, tables, report, run, tolerance)
+
+
+@parts_in.register
+def _(block: ScheduledBlock, arithmetic: str, largest_error: float = LARGEST_ERROR) -> Parts:
+    check_precision(arithmetic)
+    run = vectors_of(block, arithmetic == "float")
+    tables, facts = _scheduled_tables(block, arithmetic), _schedule_facts(block, arithmetic)
+    report, tolerance = _scheduled_report(block, run), scheduled_tolerance(block, run, arithmetic)
+    return Parts("scheduled", "scheduled", facts, tables, report, run, tolerance)
+
+
+def tolerance_in(arithmetic: str, block: Block, single: np.ndarray) -> np.ndarray:
+    """How far code in floating point may be from the vectors (p,) [A]; single: in single
+    precision.
+    """
+    return single if arithmetic == "float" else _DOUBLE_TOLERANCE * block.raw_limit
 
 
 def code_types(arithmetic: str) -> dict[str, str]:
@@ -378,18 +398,8 @@ def code_types(arithmetic: str) -> dict[str, str]:
 
 def scheduled_tolerance(block: ScheduledBlock, run: Vectors, arithmetic: str) -> np.ndarray:
     """How far code may be from the vectors (p,) [A]."""
-    if arithmetic == "float":
-        return np.maximum(_SINGLE_TOLERANCE * block.current_limit, 4 * run.rounding)
-    return _DOUBLE_TOLERANCE * block.raw_limit
-
-
-def in_words(
-    block: ControlBlock, word: int, largest_error: float = LARGEST_ERROR
-) -> FixedBlock | FixedCascade:
-    """The block in words of 16 or 32 bits. Raises InvalidInput."""
-    if isinstance(block, CascadeBlock):
-        return to_fixed_cascade(block, word, largest_error)
-    return to_fixed_point(block, word, largest_error)
+    single = np.maximum(_SINGLE_TOLERANCE * block.current_limit, 4 * run.rounding)
+    return tolerance_in(arithmetic, block, single)
 
 
 def write_code(
@@ -455,7 +465,7 @@ def _facts(
     sizes = (f"{block.name.upper()}_INPUTS", f"{block.name.upper()}_OUTPUTS")
     return {
         **block_facts(block),
-        "scheduled": isinstance(block, ScheduledBlock),
+        "scheduled": bool(block.told),
         "fixed": bool(word),
         "word": word,
         "arithmetic": floating.get(arithmetic, f"fixed point, {word} bits"),
@@ -465,25 +475,32 @@ def _facts(
         "zero": "0" if word else literal(0.0, arithmetic),
         "largest": LARGEST.get(arithmetic, ""),
         "delay_text": _delay_text(block.delay),
-        "cost": scheduled_cost(block, arithmetic)
-        if isinstance(block, ScheduledBlock)
-        else step_cost(block, arithmetic),
+        "cost": block.cost(arithmetic),
         "provenance": [as_comment(line) for line in provenance] or ["provenance: not given"],
     }
 
 
-def _word_facts(block: ControlBlock, fixed: FixedBlock | FixedCascade | None) -> dict[str, Any]:
+def _word_facts(
+    block: ControlBlock, fixed: Words | None, table: Callable[[np.ndarray], str]
+) -> dict[str, Any]:
     """What is added of a fixed controller: its paddings, and what a count is of its words."""
-    low, high = padding_of(block)
-    cascade = block if isinstance(block, CascadeBlock) else None
+    low, high = block.padding
     facts: dict[str, Any] = {
         "winding": block.winding,
         "low": low,
         "padded": block.n_states + low + high,
         "error_unit": "m",
         "current_unit": "A",
-        "cascade": cascade is not None,
-        "mixes": cascade is not None and cascade.mixes,
+        **(fixed or block).said(),
+        "stages": [
+            {
+                "row": " ".join(table(np.asarray(row)).split()),
+                "label": as_comment(stage.label),
+                "largest": f"{largest:.4g}",
+                "numbers": [f"{value:.9g}" for value in stage.coefficients],
+            }
+            for stage, row, largest in (fixed or block).listing()
+        ],
     }
     if fixed is None:
         return facts
@@ -501,7 +518,7 @@ def _word_facts(block: ControlBlock, fixed: FixedBlock | FixedCascade | None) ->
 
 def _schedule_facts(block: ScheduledBlock, arithmetic: str) -> dict[str, Any]:
     """What is added of a scheduled controller."""
-    along, padding = block.along, padding_of(block)
+    along, padding = block.along, block.padding
     motion_text = f"While the {along.name} moves no bound is proved."
     if block.motion.proved:
         farthest = block.motion.states.max(initial=0.0)
@@ -580,138 +597,25 @@ def _delay_text(delay: int) -> str:
     )
 
 
-def _floating_tables(block: ControlBlock, arithmetic: str) -> dict[str, Any]:
-    table = real_table(arithmetic)
-    law = (
-        _cascade_tables(
-            block, table, block.into, block.out, [stage.coefficients for stage in block.stages]
-        )
-        if isinstance(block, CascadeBlock)
-        else {}
-    )
-    return {
-        **law,
-        "diagonals": [
-            {**d, "table": table(d["entries"])} for d in diagonals(block.increment, block.increment)
-        ],
-        "B": table(block.B.T),
-        "C": table(block.C.T),
-        "D": table(block.D.T),
-        "unwind": table(block.unwind[: block.winding].T),
-        "error_limit": table(block.error_limit),
-        "current_limit": table(block.current_limit),
-        "transfer_error": table(block.from_error.T),
-        "transfer_current": table(block.from_output.T),
-        "floor": literal(FLOOR[arithmetic], arithmetic),
-    }
-
-
-def _cascade_tables(
-    block: CascadeBlock,
-    table: Callable[[np.ndarray], str],
-    into: np.ndarray,
-    out: np.ndarray,
-    rows: Any,
+def _tables(
+    law: ControlBlock | ScheduledBlock | Words, table: Callable[[np.ndarray], str]
 ) -> dict[str, Any]:
-    """The sections, each with its name, and the mixings."""
-    outputs = block.signals[len(block.into) :]
+    """The tables of a law as C, and the diagonals of its A - I."""
+    rows = diagonals(law.fixed_increment, law.base.fixed_increment)
     return {
-        "channels": len(into),
-        "into": table(into.T),
-        "out": table(out.T),
-        "channel": integer_table(np.array([stage.channel for stage in block.stages])),
-        "order": integer_table(np.array([stage.order for stage in block.stages])),
-        "stages": [
-            {
-                "row": " ".join(table(np.array(row)).split()),
-                "label": as_comment(stage.label),
-                "largest": f"{largest:.4g}",
-                "numbers": [f"{value:.9g}" for value in stage.coefficients],
-            }
-            for stage, row, largest in zip(block.stages, rows, outputs, strict=True)
-        ],
+        **{name: table(x) for name, x in (law.tables() | law.section_tables()).items()},
+        "diagonals": [{**row, "table": table(row["entries"])} for row in rows],
     }
-
-
-def _fixed_tables(fixed: FixedBlock | FixedCascade) -> dict[str, Any]:
-    if isinstance(fixed, FixedCascade):
-        m = len(fixed.block.inputs)
-        w = fixed.block.winding
-        numbers = fixed.sections.reshape(-1, 9)[:, [0, 1, 3, 4, 5, 6, 7]]
-        arrays = {
-            "row_bits": fixed.section_bits[:, 0],
-            "update_shift": fixed.update_shift,
-            "into_bits": fixed.into_bits,
-            "output_bits": fixed.output_bits,
-            "unwind": fixed.unwind[:w].T,
-            "cut_bits": fixed.cut_bits,
-            "unwind_shift": fixed.unwind_bits[:w] + fixed.signal_bits - fixed.state_bits,
-            "transfer_error": fixed.transfer[:, :m].T,
-            "transfer_current": fixed.transfer[:, m:].T,
-            "transfer_bits": fixed.transfer_bits + fixed.signal_bits,
-        }
-        law = _cascade_tables(fixed.block, integer_table, fixed.into, fixed.output, numbers)
-        return {**law, "diagonals": [], **{name: integer_table(x) for name, x in arrays.items()}}
-    block = fixed.block
-    n = fixed.block.n_states
-    m = len(fixed.block.inputs)
-    w = fixed.block.winding
-    increment, B = np.split(fixed.update, [n], axis=1)
-    C, D = np.split(fixed.output, [n], axis=1)
-    shift = fixed.signal_bits - fixed.state_bits
-    arrays = {
-        "B": B.T,
-        "C": C.T,
-        "D": D.T,
-        "unwind": fixed.unwind[:w].T,
-        "update_shift": fixed.update_bits + shift,
-        "unwind_shift": fixed.unwind_bits[:w] + shift,
-        "output_bits": fixed.output_bits,
-        "cut_bits": fixed.cut_bits,
-        "transfer_error": fixed.transfer[:, :m].T,
-        "transfer_current": fixed.transfer[:, m:].T,
-        "transfer_bits": fixed.transfer_bits + fixed.signal_bits,
-    }
-    rows = [
-        {**d, "table": integer_table(d["entries"])} for d in diagonals(increment, block.increment)
-    ]
-    return {"diagonals": rows, **{name: integer_table(x) for name, x in arrays.items()}}
 
 
 def _scheduled_tables(block: ScheduledBlock, arithmetic: str) -> dict[str, Any]:
-    table = real_table(arithmetic)
-    n = block.n_states
-    changes = block.changes
-    matrices = {
-        "core": changes.core,
-        "unwind": block.unwind,
-        "steady": block.steady,
-        "pick": block.pick,
-    }
-    fixed = {"B": changes.fixed[:n, n:], "C": changes.fixed[n:, :n], "D": changes.fixed[n:, n:]}
-    signals = {
-        "of_state": changes.right[:, :n],
-        "of_error": changes.right[:, n:],
-        "on_state": changes.left[:n],
-        "on_current": changes.left[n:],
-    }
-    increment, nr = increment_of(block), changes.ranks[0]
-    law = {
-        **{name: table(x.T) for name, x in fixed.items()},
-        "suffix": "",
-        "varies": True,
-        "nx": n,
-        "nr": nr,
-        "diagonals": [{**d, "table": table(d["entries"])} for d in diagonals(increment, increment)],
-    }
+    tables, (nr, nq) = _tables(block, real_table(arithmetic)), block.changes.ranks
+    law = {name: tables[name] for name in ("B", "C", "D", "diagonals")}
     return {
-        **{name: table(x.transpose(0, 2, 1)) for name, x in matrices.items()},
-        **{name: table(x.T) for name, x in signals.items()},
-        "law": law,
+        **tables,
+        "law": {**law, "suffix": "", "varies": True, "nx": block.n_states, "nr": nr},
         "nr": nr,
-        "nq": changes.ranks[1],
-        "error_limit": table(block.error_limit),
-        "current_limit": table(block.current_limit),
+        "nq": nq,
         "floor": literal(FLOOR[arithmetic], arithmetic),
     }
 
@@ -766,60 +670,10 @@ def _output_rows(block: Block, error: np.ndarray) -> list[dict[str, str]]:
     ]
 
 
-def _fixed_report(
-    block: ControlBlock, fixed: FixedBlock | FixedCascade | None, error: np.ndarray
-) -> dict[str, Any]:
-    report = {
-        "sizes": ", ".join(str(k) for k in block.sizes) or "none",
-        "outputs": _output_rows(block, error),
-        "horizon": HORIZON,
-        "rows": [] if fixed is None else _formats(fixed),
-    }
-    if not isinstance(block, CascadeBlock):
-        return {**report, "word_lengths": word_lengths(block)}
-    report |= _cascade_tables(
-        block,
-        real_table("double"),
-        block.into,
-        block.out,
-        [stage.coefficients for stage in block.stages],
-    )
-    report["word_lengths"] = [
-        {"bits": bits, "gain_error": word_errors(block, bits)} for bits in BITS
-    ]
-    if isinstance(fixed, FixedCascade):
-        report |= {
-            "noise": ", ".join(f"{value:.2g}" for value in fixed.noise),
-            "gain_error": f"{fixed.gain_error:.2g}",
-        }
-    return report
-
-
-def _formats(fixed: FixedBlock | FixedCascade) -> list[dict[str, str]]:
-    block = fixed.block
-    states = [f"x[{i}]" for i in range(block.n_states)]
-    if isinstance(fixed, FixedCascade):
-        names = [
-            f"{stage.label}, {row}"
-            for stage in fixed.block.stages
-            for row in ("y", "x1", "x2")[: stage.order + 1]
-        ]
-        used = [k for stage in fixed.block.stages for k in [True, True, stage.order > 1]]
-        sections, bits = fixed.sections.reshape(-1, 3)[used], fixed.section_bits.ravel()[used]
-        groups = [(names, sections, bits), (block.outputs, fixed.output, fixed.output_bits)]
-    else:
-        groups = [
-            (states, fixed.update, fixed.update_bits),
-            (block.outputs, fixed.output, fixed.output_bits),
-        ]
-    groups.append(
-        ([f"unwind {state}" for state in states[: block.winding]], fixed.unwind, fixed.unwind_bits)
-    )
-    if block.transfers:
-        groups.append(([f"track {state}" for state in states], fixed.transfer, fixed.transfer_bits))
+def _formats(fixed: Words) -> list[dict[str, str]]:
     return [
         {"name": name, "bits": str(f), "total": f"{np.abs(row * np.exp2(-f)).sum():.3g}"}
-        for names, matrix, bits in groups
+        for names, matrix, bits in fixed.formats()
         for name, row, f in zip(names, matrix, bits, strict=False)  # unwind: the first states
     ]
 

@@ -24,10 +24,10 @@ from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
 
-from ambrose.code.block.block import Block, ControlBlock
-from ambrose.code.block.run import REASON_AT
+from ambrose.code.block.block import REASON_AT, Block, ControlBlock
+from ambrose.code.block.fixed_point import in_words
 from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock
-from ambrose.code.c.code import WORDS, Arithmetic, Precision, generate, in_words
+from ambrose.code.c.code import WORDS, Arithmetic, Precision, generate
 from ambrose.code.interface import KINDS, TYPES, Interface, Law, interface_of, parts_of
 from ambrose.core.checks import InvalidInput, check_shape, invalid
 from ambrose.core.statespace import StateSpace

@@ -14,7 +14,8 @@ from typing import Any, cast
 import numpy as np
 
 from ambrose.code.block.block import ControlBlock, as_comment, render
-from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock
+from ambrose.code.block.fixed_point import in_words
+from ambrose.code.block.scheduled import SupervisedBlock
 from ambrose.code.block.synchronous_twin import (
     ONE,
     PER_REST,
@@ -33,7 +34,6 @@ from ambrose.code.c.code import (
     code_types,
     generate,
     identity_facts,
-    in_words,
     integer_table,
     literal,
     real_table,
@@ -43,11 +43,9 @@ from ambrose.code.interface import TYPES, interface_of
 from ambrose.code.synchronous import (
     EVERY,
     SHARE,
-    Base,
     RunUnit,
     contact_counts,
     run_unit,
-    run_unit_words,
     run_up_of,
     words_of,
 )
@@ -353,13 +351,6 @@ def _facts(unit: RunUnit, arithmetic: str, provenance: Sequence[str]) -> dict[st
     }
 
 
-def _middle(base: Base) -> list[float]:
-    """What a scheduled block is told in the self-test: the middle of its ranges."""
-    if not isinstance(base, ScheduledBlock):
-        return []
-    return [float(axis[0] + axis[-1]) / 2 for axis in base.axes]
-
-
 def _self_test(unit: RunUnit, arithmetic: str) -> dict[str, Any]:
     """Signals of whole numbers, as run_test.c.j2 makes them, and what the twin answers."""
     base, run_up = unit.base, run_up_of(unit)
@@ -395,7 +386,9 @@ def _self_test(unit: RunUnit, arithmetic: str) -> dict[str, Any]:
         counts = np.sign(large) * (np.abs(large) // (10 * (2**30 // one)))
         counts[within["none"], -1] = one // 2 * 3
         fixed = in_words(cast(ControlBlock, base), word)
-        run = run_unit_words(unit, fixed, ages, counts, valid, within["contact"], ~within["off"])
+        run = run_unit(
+            unit, ages, counts, None, valid, within["contact"], ~within["off"], fixed=fixed
+        )
         return facts | {
             "told_test": "",
             "currents": integer_table(run.currents[shown]),
@@ -407,14 +400,11 @@ def _self_test(unit: RunUnit, arithmetic: str) -> dict[str, Any]:
     errors = wave * np.where(within["large"][:, None], 8.0 * scale, scale)
     errors[within["none"], -1] = np.nan
 
-    middle = _middle(base)
-    told = np.full((count, len(middle)), middle) if middle else None
-    texts = [literal(value, arithmetic) for value in middle]
-    if isinstance(base, SupervisedBlock):
-        told = np.column_stack([np.full(count, middle[0]), np.full((count, 2), np.nan)])
-        texts += ["none", "none"]
-    elif told is not None and told.shape[1] == 1:
-        told = told[:, 0]
+    # the schedule in the middle of its ranges
+    middle = base.middle()
+    told = np.full((count, len(middle)), middle)
+    told = told[:, 0] if len(middle) == 1 else told
+    texts = ["none" if math.isnan(value) else literal(value, arithmetic) for value in middle]
     run = run_unit(unit, pulses, errors, told, valid, within["contact"], ~within["off"])
     table, largest = real_table(arithmetic), np.abs(run.currents).max(axis=0)
     share = {"double": 1e-9, "float": _FLOAT}[arithmetic]

@@ -29,7 +29,6 @@ from ambrose.machine.criteria import SENSITIVITY
 from ambrose.machine.part import PidSettings, Section
 from ambrose.record.record import signal_dimension
 from ambrose.report import theme
-from ambrose.report import theme as units
 from ambrose.report.figures.curves import (
     Axes,
     axes_of,
@@ -128,7 +127,7 @@ def _draw(
         for name, row in zip(curve.labels, curve.y, strict=True):
             y = row * axes.y_factor
             words = "<br>".join(
-                theme.plain(units.axis_name(part)) for part in dict.fromkeys((label, name))
+                theme.plain(theme.axis_name(part)) for part in dict.fromkeys((label, name))
             )
             hover = f"{words}<br>%{{x:.4g}} · %{{y:.4g}} {axes.y_unit}<extra></extra>"
             theme.scatter(
@@ -251,7 +250,7 @@ def filter_figure(
     for name, found in zip(
         channel_names(settings, axes), channel_chains(settings, axes), strict=True
     ):
-        groups.setdefault(found, []).append(units.axis_name(name))
+        groups.setdefault(found, []).append(theme.axis_name(name))
     systems = {
         ", ".join(names): theta_system(
             chain(gain, [section_matrix(item) for item in sections]), (names[0],)
@@ -267,7 +266,7 @@ def filter_figure(
     looks = theme.styles(list(systems))
     rows: list[tuple[str, list[tuple[str, list[str], str]]]] = []
     for name, (gain, sections) in zip(systems, groups, strict=True):
-        blocks = [("gain", [units.quantity(gain, "A/m")], f"gain {gain / 1e3:.6g} A/mm")]
+        blocks = [("gain", [theme.quantity(gain, "A/m")], f"gain {gain / 1e3:.6g} A/mm")]
         rows.append(
             (
                 name,
@@ -286,14 +285,14 @@ def _numbers(section: Section) -> list[str]:
     """What stands in a block under the section's kind."""
 
     def hertz(rate: float | None) -> str:
-        return units.quantity(rate or 0.0, "rad/s")
+        return theme.quantity(rate or 0.0, "rad/s")
 
     def damped(rate: float | None, damping: float | None) -> str:
-        return f"{hertz(rate)}, {units.number(damping or 0.0)}"
+        return f"{hertz(rate)}, {theme.number(damping or 0.0)}"
 
     if section.kind == "pid":
         times = (("i", section.integral_time), ("d", section.derivative_time))
-        words = [f"T<sub>{key}</sub> {units.quantity(value, 's')}" for key, value in times if value]
+        words = [f"T<sub>{key}</sub> {theme.quantity(value, 's')}" for key, value in times if value]
         if section.derivative_time:
             corner = 1 / (
                 (section.derivative_filter or DERIVATIVE_FILTER) * section.derivative_time
@@ -308,7 +307,7 @@ def _numbers(section: Section) -> list[str]:
         return [f"○ {zeros}", f"× {poles}"]
     if section.kind == "phase-bump":
         return [
-            units.quantity(section.phase or 0.0, "rad"),
+            theme.quantity(section.phase or 0.0, "rad"),
             f"at {damped(section.frequency, section.damping)}",
         ]
     if section.kind == "lead-lag":
@@ -317,7 +316,7 @@ def _numbers(section: Section) -> list[str]:
         return [f"× {damped(section.frequency, section.damping)}"]
     above, below = section.numerator or (), section.denominator or ()
     if not (np.roots(above).size or np.roots(below).size):
-        return [f"times {units.number(float(above[-1] / below[-1]))}"]
+        return [f"times {theme.number(float(above[-1] / below[-1]))}"]
     return [f"○ {_roots(above)}", f"× {_roots(below)}"]
 
 
@@ -326,8 +325,8 @@ def _roots(coefficients: tuple[float, ...]) -> str:
     roots = np.roots(coefficients)
     if len(roots) == 2 and roots[0].imag:
         size = float(abs(roots[0]))
-        return f"{units.quantity(size, 'rad/s')}, {units.number(float(-roots[0].real) / size)}"
-    return ", ".join(units.quantity(float(-root.real), "rad/s") for root in roots) or "none"
+        return f"{theme.quantity(size, 'rad/s')}, {theme.number(float(-roots[0].real) / size)}"
+    return ", ".join(theme.quantity(float(-root.real), "rad/s") for root in roots) or "none"
 
 
 def _draw_of_filter_chains(
@@ -438,8 +437,8 @@ def grid_of(system: StateSpace, points: int = 600) -> np.ndarray:
         with np.errstate(divide="ignore"):
             values = np.log(values.astype(complex)) / system.dt
     moduli = np.abs(values[np.isfinite(values)])
-    low = 0.1 * units.TWO_PI
-    high = float(np.clip(3 * moduli.max(initial=0.0), 5e3 * units.TWO_PI, 1e5 * units.TWO_PI))
+    low = 0.1 * theme.TWO_PI
+    high = float(np.clip(3 * moduli.max(initial=0.0), 5e3 * theme.TWO_PI, 1e5 * theme.TWO_PI))
     if system.dt is not None:
         high = 0.999 * np.pi / system.dt
         low = min(low, high / 100)
@@ -467,7 +466,7 @@ def entries(response: FrequencyResponse) -> list[Line]:
     names = [(i, j) for i in range(outputs) for j in range(inputs)]
     return [
         Line(
-            f"{units.axis_name(response.inputs[j])} → {units.axis_name(response.outputs[i])}",
+            f"{theme.axis_name(response.inputs[j])} → {theme.axis_name(response.outputs[i])}",
             omega,
             values[:, i, j],
         )
@@ -502,8 +501,8 @@ def _direct(response: FrequencyResponse, i: int) -> str:
     source, target = response.inputs[i], response.outputs[i]
     axis = target.partition("_")[2]
     if axis and axis == source.partition("_")[2]:
-        return units.axis_name(axis)
-    return f"{units.axis_name(source)} → {units.axis_name(target)}"
+        return theme.axis_name(axis)
+    return f"{theme.axis_name(source)} → {theme.axis_name(target)}"
 
 
 def unit_of(response: FrequencyResponse) -> str:
@@ -541,7 +540,7 @@ def bode_figure(
     )
     sizes = [np.abs(line.gain) for line in lines]
     top = max(float(size.max(initial=0.0)) for size in sizes) or 1.0
-    factor, shown_unit = units.scale(unit, top)
+    factor, shown_unit = theme.scale(unit, top)
     for line, size in zip(lines, sizes, strict=True):
         look = looks.get(line.name, _CROSS)
         pictures = [(1, size * factor, shown_unit)]
@@ -552,7 +551,7 @@ def bode_figure(
             theme.scatter(
                 figure,
                 {"row": row, "col": 1},
-                drawn(line.omega / units.TWO_PI),
+                drawn(line.omega / theme.TWO_PI),
                 drawn(y),
                 line.name,
                 shown=row == 1,
@@ -565,7 +564,7 @@ def bode_figure(
         min(float(size[size > 0].min(initial=top)) for size in sizes) / 1.3, top / 10**_DECADES
     )
     figure.update_xaxes(
-        **theme.decades(float(omega.min()) / units.TWO_PI, float(omega.max()) / units.TWO_PI)
+        **theme.decades(float(omega.min()) / theme.TWO_PI, float(omega.max()) / theme.TWO_PI)
     )
     figure.update_xaxes(title_text="Frequency [Hz]", row=2 if phased else 1, col=1)
     figure.update_yaxes(
@@ -650,7 +649,7 @@ def panels(
     """
     value = np.where(told, value, np.nan)
     figure, places = _grid(len(titles), titles)
-    f, looks = omega / units.TWO_PI, dict(zip(models, _LOOKS, strict=False))
+    f, looks = omega / theme.TWO_PI, dict(zip(models, _LOOKS, strict=False))
     curves = [
         (
             "measured",
@@ -716,7 +715,7 @@ def nyquist(
             theme.guide(figure, place, x, y, color=theme.LIMIT, width=1.2, dash="1.5px,2px")
         look = {"color": _MEASURED, "width": 1.8}
         hover = "%{customdata:.4g} Hz<extra>measured</extra>"
-        at = omega / units.TWO_PI
+        at = omega / theme.TWO_PI
         theme.scatter(
             figure,
             place,
@@ -755,14 +754,14 @@ def residual_figure(result: ResidualIdentification, segment: float = 0.2) -> Any
     factors = result.factors
     measured = frf.h1(result.signals, factors.alpha, factors.eps, segment=segment)
     model = 1e6 * frequency_response(result.residual, measured.omega).values
-    f = measured.omega / units.TWO_PI
+    f = measured.omega / theme.TWO_PI
     axes = [name.removeprefix("alpha_u_") for name in factors.alpha]
     figure = theme.subplots(
         rows=1,
         cols=len(axes),
         shared_yaxes=True,
         horizontal_spacing=0.02,
-        subplot_titles=[f"<b>{theme.plain(units.axis_name(axis))}</b>" for axis in axes],
+        subplot_titles=[f"<b>{theme.plain(theme.axis_name(axis))}</b>" for axis in axes],
     )
     size, half = 1e6 * np.abs(measured.values), 1e6 * _WIDE * np.sqrt(measured.variance)
     floor = float(np.median(half)) / 10

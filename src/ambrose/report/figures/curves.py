@@ -22,7 +22,6 @@ from ambrose.core.statespace import as_statespace
 from ambrose.core.statespace import poles as poles_of
 from ambrose.judge.checks import Curve
 from ambrose.report import theme
-from ambrose.report import theme as units
 
 # Units, scales and visible ranges of the axes that a set of curves shares, and the limits drawn on
 # them. Data are never changed, only the view is chosen.
@@ -88,7 +87,7 @@ def axes_of(
     else:
         low, high = _linear(_without_runaways(rows) if first.kind == "time" else y, limits)
     cut = bool(whole.size) and (float(whole.min()) < low or float(whole.max()) > high)
-    factor, y_unit = units.scale(first.y_unit, max(abs(low), abs(high)))
+    factor, y_unit = theme.scale(first.y_unit, max(abs(low), abs(high)))
     x_factor, x_text = _x_scale(first.kind, x)
     ranges = _x_range(x * x_factor, log_x), (low * factor, high * factor)
     return Axes(x_factor, x_text, factor, y_unit, log_x, log_y, *ranges, cut)
@@ -110,11 +109,11 @@ def _finite(curves: Sequence[tuple[str, Curve]]) -> list[np.ndarray]:
 
 def _x_scale(kind: str, x: np.ndarray) -> tuple[float, str]:
     if kind == "time":
-        factor, unit = units.seconds_or_milliseconds(float(np.ptp(x)) if x.size else 0.0)
+        factor, unit = theme.seconds_or_milliseconds(float(np.ptp(x)) if x.size else 0.0)
         return factor, f"Time [{unit}]"
     if kind == "speed":
-        return units.RPM, "Rotational speed [rpm]"
-    return units.scale("rad/s")[0], "Frequency [Hz]"
+        return theme.RPM, "Rotational speed [rpm]"
+    return theme.scale("rad/s")[0], "Frequency [Hz]"
 
 
 def _x_range(x: np.ndarray, log: bool) -> tuple[float, float]:
@@ -170,7 +169,7 @@ def limit_levels(curves: Sequence[tuple[str, Curve]], axes: Axes) -> list[tuple[
 
 def amount(level: float, axes: Axes) -> str:
     """A value of the y axis (shown unit) as text."""
-    return units.join(units.number(level), axes.y_unit)
+    return theme.join(theme.number(level), axes.y_unit)
 
 
 def draw_limits(
@@ -267,7 +266,7 @@ def pole_figure(curves: Sequence[tuple[str, Curve]], style: Mapping[str, theme.S
     for label, poles in everything:
         look = style[label]
         ratio = -poles.real / np.where(np.abs(poles) > 0, np.abs(poles), np.inf)
-        frequency = np.abs(poles) / units.TWO_PI
+        frequency = np.abs(poles) / theme.TWO_PI
         marker = {
             "color": look.colour,
             "symbol": look.symbol,
@@ -287,7 +286,7 @@ def pole_figure(curves: Sequence[tuple[str, Curve]], style: Mapping[str, theme.S
         }
         data, away = drawn(np.column_stack([frequency, ratio])), frequency > 0
         for column, x, y, kept in (
-            (1, poles.real, poles.imag / units.TWO_PI, slice(None)),
+            (1, poles.real, poles.imag / theme.TWO_PI, slice(None)),
             (2, frequency, _fold(ratio), away),
         ):
             place = {"row": 1, "col": column}
@@ -330,8 +329,8 @@ def _least_damped(frequency: np.ndarray, ratio: np.ndarray) -> str:
         return ""
     i = int(np.argmin(np.where(moving, ratio, np.inf)))
     return (
-        f" · least damping ratio {units.number(float(ratio[i]))} at "
-        f"{units.number(float(frequency[i]))} Hz"
+        f" · least damping ratio {theme.number(float(ratio[i]))} at "
+        f"{theme.number(float(frequency[i]))} Hz"
     )
 
 
@@ -342,13 +341,13 @@ def _fold(ratio: np.ndarray) -> np.ndarray:
 
 def _axes(figure: Any, everything: Sequence[tuple[str, np.ndarray]], reach: float) -> None:
     poles = np.concatenate([p for _, p in everything]) if everything else np.zeros(0)
-    frequency = np.abs(poles[np.abs(poles) > 0]) / units.TWO_PI
+    frequency = np.abs(poles[np.abs(poles) > 0]) / theme.TWO_PI
     inside = int((np.abs(poles) <= reach).sum())
     right = max(0.06 * reach, 1.15 * float(poles.real.max(initial=0.0)))
     figure.update_xaxes(title_text="Real part [1/s]", range=[-reach, right], row=1, col=1)
     figure.update_yaxes(
         title_text="Imaginary part [Hz]",
-        range=[-0.03 * reach / units.TWO_PI, reach / units.TWO_PI],
+        range=[-0.03 * reach / theme.TWO_PI, reach / theme.TWO_PI],
         row=1,
         col=1,
     )
@@ -365,7 +364,7 @@ def _axes(figure: Any, everything: Sequence[tuple[str, np.ndarray]], reach: floa
     figure.update_yaxes(
         title_text="Damping ratio",
         tickvals=[float(_fold(np.array(t))) for t in ticks],
-        ticktext=[units.number(t) for t in ticks],
+        ticktext=[theme.number(t) for t in ticks],
         range=[float(_fold(np.array(-1.3 if unstable else -0.0006))), float(_fold(np.array(1.6)))],
         row=1,
         col=2,
@@ -543,7 +542,7 @@ def describe(title: str, system: Any) -> str:
         return f"{title}: no pole"
     rightmost = values[int(np.argmax(values.real))]
     return (
-        f"{title}: {_where(values)}, rightmost {units.number(rightmost.real)} "
+        f"{title}: {_where(values)}, rightmost {theme.number(rightmost.real)} "
         f"{rightmost.imag:+.3g}j rad/s"
     )
 
@@ -710,7 +709,7 @@ def _draw(
             if name not in panel.names:
                 continue
             y = values * axes.y_factor
-            words = f"{theme.plain(label)}<br>{theme.plain(units.axis_name(name))}"
+            words = f"{theme.plain(label)}<br>{theme.plain(theme.axis_name(name))}"
             hover = f"{words}<br>%{{x:.4g}} · %{{y:.4g}} {axes.y_unit}<extra></extra>"
             theme.scatter(
                 figure,
@@ -770,7 +769,7 @@ def _legend_text(panel: Panel, label: str, curves: Labelled, axes: Axes, *, over
     apart = np.flatnonzero(~near.all(axis=0))
     if not apart.size:
         return f" · within {_AGREEMENT:.0%} everywhere"
-    return f" · within {_AGREEMENT:.0%} up to {units.quantity(float(curve.x[apart[0]]), 'rad/s')}"
+    return f" · within {_AGREEMENT:.0%} up to {theme.quantity(float(curve.x[apart[0]]), 'rad/s')}"
 
 
 def _peak_text(rows: np.ndarray, curve: Curve, axes: Axes) -> str:
@@ -786,8 +785,8 @@ def _peak_text(rows: np.ndarray, curve: Curve, axes: Axes) -> str:
         return f" · largest {text}"
     if largest == 0 < len(size) - 1:
         return ""
-    where = units.join(
-        units.number(float(curve.x[largest]) * axes.x_factor),
+    where = theme.join(
+        theme.number(float(curve.x[largest]) * axes.x_factor),
         "rpm" if curve.kind == "speed" else "Hz",
     )
     return f" · {'peak' if largest < len(size) - 1 else 'up to'} {text} at {where}"
@@ -835,7 +834,7 @@ def _name_ends(figure: Any, panel: Panel, curve: Curve, axes: Axes) -> None:
         theme.note(
             figure,
             {"row": panel.row, "col": panel.column},
-            theme.plain(units.axis_name(name)),
+            theme.plain(theme.axis_name(name)),
             1.0,
             level,
             "left",
@@ -895,7 +894,7 @@ def _panel_title(figure: Any, panel: Panel, axes: Axes, *, many: bool) -> None:
     """The unit (and the line's name where there are several panels) above the panel's upper left
     corner.
     """
-    words = [theme.plain(units.axis_name(panel.names[0]))] if many else []
+    words = [theme.plain(theme.axis_name(panel.names[0]))] if many else []
     if axes.y_unit:
         words.append(f"[{axes.y_unit}]")
     text = f"<b>{words[0]}</b> {' '.join(words[1:])}" if many else " ".join(words)

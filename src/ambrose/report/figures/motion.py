@@ -24,7 +24,6 @@ from ambrose.machine.machine import AxialMachine, Machine
 from ambrose.model.plant import Port, measured_ports, ports
 from ambrose.record.record import Record
 from ambrose.report import theme
-from ambrose.report import theme as units
 from ambrose.report.figures.curves import drawn
 from ambrose.rig.scenario import Scenario
 
@@ -130,7 +129,7 @@ class Station:
         plotly.
         """
         where = "sensor" if self.at_sensor else "bearing" if self.bearing else ""
-        return theme.plain(" ".join(filter(None, (where, units.axis_name(self.name)))))
+        return theme.plain(" ".join(filter(None, (where, theme.axis_name(self.name)))))
 
     @property
     def radius(self) -> np.ndarray:
@@ -286,7 +285,7 @@ def orbit_figure(record: Record, places: Sequence[Station], speed: np.ndarray) -
     gaps = [station.gap for station in stations if station.gap is not None]
     if gaps and min(gaps) <= NEAR * reach:
         reach = max(reach, 1.08 * min(gaps))
-    factor, unit = units.scale("m", reach)
+    factor, unit = theme.scale("m", reach)
     total = rows * _SIDE + (rows - 1) * _GAP
     figure = theme.subplots(
         rows=rows,
@@ -320,9 +319,9 @@ def orbit_figure(record: Record, places: Sequence[Station], speed: np.ndarray) -
 
 def _span(record: Record, word: str, part: slice) -> str:
     time = record.time[part]
-    factor, unit = units.seconds_or_milliseconds(float(record.time[-1] - record.time[0]))
+    factor, unit = theme.seconds_or_milliseconds(float(record.time[-1] - record.time[0]))
     return (
-        f"{word}: {units.number(time[0] * factor, 4)} to {units.number(time[-1] * factor, 4)} "
+        f"{word}: {theme.number(time[0] * factor, 4)} to {theme.number(time[-1] * factor, 4)} "
         f"{unit}"
     )
 
@@ -358,7 +357,7 @@ def _panel(
         step = max(1, (part.stop - part.start) // _LINE)
         x, y = (row[part][::step] * factor for row in (station.x, station.y))
         add(x, y, name, line={"color": colour, "width": 1.6})
-    words = f"{units.number(float(station.radius.max()) * factor)} {unit}"
+    words = f"{theme.number(float(station.radius.max()) * factor)} {unit}"
     if station.gap is not None:
         if station.gap <= reach:
             turn = np.linspace(0, 2 * np.pi, 181)
@@ -451,13 +450,13 @@ def waterfall_figure(record: Record, places: Sequence[Station], speed: np.ndarra
     if top <= 0:
         return None
     reach = _reach(frequency, sizes, top, float(np.abs(turns).max()))
-    factor, unit = units.scale("m", top)
+    factor, unit = theme.scale("m", top)
     kept = np.flatnonzero(np.abs(frequency) <= reach)
     pool = max(1, int(np.ceil(len(kept) / _ROWS)))
     kept = kept[: len(kept) // pool * pool]
     rows = frequency[kept].reshape(-1, pool).mean(axis=1)
     time = record.start_time + middle / record.sample_rate_hz
-    seconds, second = units.seconds_or_milliseconds(float(record.time[-1] - record.time[0]))
+    seconds, second = theme.seconds_or_milliseconds(float(record.time[-1] - record.time[0]))
     total = _SPECTRUM_HEIGHT * len(stations) + _SPECTRA_GAP * (len(stations) - 1)
     figure = theme.subplots(
         rows=len(stations), cols=1, shared_xaxes=True, vertical_spacing=_SPECTRA_GAP / total
@@ -492,7 +491,7 @@ def waterfall_figure(record: Record, places: Sequence[Station], speed: np.ndarra
             "colorbar": {
                 "title": {"text": f"radius [{unit}]", "side": "right"},
                 "tickvals": ticks.tolist(),
-                "ticktext": [units.number(10.0**t) for t in ticks],
+                "ticktext": [theme.number(10.0**t) for t in ticks],
                 "thickness": 14,
                 "outlinewidth": 0,
                 "x": 1.03,
@@ -605,7 +604,7 @@ def _time_axis(
     ticks = np.arange(np.ceil(low / step) * step, high + step / 100, step)
     rpm = np.interp(ticks, record.time, turns * 60)
     texts = [
-        f"{units.number(t * seconds)}<br>{units.number(r)}" for t, r in zip(ticks, rpm, strict=True)
+        f"{theme.number(t * seconds)}<br>{theme.number(r)}" for t, r in zip(ticks, rpm, strict=True)
     ]
     figure.update_xaxes(
         title_text=f"Time [{second}] and, beneath, rotational speed [rpm]",
@@ -695,7 +694,7 @@ def rotor_animation(
         margin=84,
         growth=36,
     )
-    words = f"displacements magnified {units.number(magnified, 2)} times against the shaft"
+    words = f"displacements magnified {theme.number(magnified, 2)} times against the shaft"
     theme.note(figure, {}, words, 0, 1, "left", "bottom", xref="paper", yref="paper")
     return figure
 
@@ -743,7 +742,7 @@ def _still(
             circle = drawn([station.position + _OBLIQUE[0] * x, _OBLIQUE[1] * x + y])
             theme.guide(figure, {}, *circle, color=theme.LIMIT, width=1.2, dash="1.5px,2px")
         name, below = (
-            theme.plain(units.axis_name(station.name)),
+            theme.plain(theme.axis_name(station.name)),
             -1.42 * 1.25 * _SIZE * machine.length,
         )
         theme.note(figure, {}, name, station.position, below, "auto", "top", colour=theme.INK)

@@ -22,7 +22,6 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.part import Disc
 from ambrose.model.effects.rotor import finite_element_rotor, free_modes
 from ambrose.report import theme
-from ambrose.report import theme as units
 
 _PIXELS = 800  # width of the plot area that the height is computed for [px]
 _LEAST = (
@@ -352,11 +351,11 @@ def _labels(
         on_side = (s for s in stations if (s.kind in {"bearing", "seal", "disc"}) == (sign > 0))
         for station in sorted(on_side, key=lambda s: s.position):
             text = (
-                f"{station.kind.replace('_', ' ')} {units.axis_name(station.name)}"
+                f"{station.kind.replace('_', ' ')} {theme.axis_name(station.name)}"
                 if station.name.lower() != station.kind
                 else station.kind
             )
-            text = text if station.kind != "disc" else units.axis_name(station.name)
+            text = text if station.kind != "disc" else theme.axis_name(station.name)
             # a page of the least width has fewer pixels for the same millimetres
             half = (3.2 * len(text) + 7) * pixel * _PIXELS / (_LEAST - _LEFT - _RIGHT)
             # a name at the right end moves in from the page's edge
@@ -511,7 +510,7 @@ def _shapes(
         kind = "rigid" if omega[i] < 1e-6 * float(omega.max(initial=1.0)) else "bending"
         counts[kind] += 1
         text = f"<b>{kind} {counts[kind]}</b>"
-        text += f"<br>{units.quantity(float(omega[i]), 'rad/s')}" if kind == "bending" else ""
+        text += f"<br>{theme.quantity(float(omega[i]), 'rad/s')}" if kind == "bending" else ""
         figure.add_annotation(
             x=0,
             xref="paper",

@@ -15,7 +15,6 @@ from ambrose.identification.frf_spectral import Frf
 from ambrose.identification.parameters import COVERAGE
 from ambrose.identification.seal.by_pressure import COEFFICIENTS, Line, SealFit
 from ambrose.report import theme
-from ambrose.report import theme as units
 from ambrose.report.figures.bode import phase
 
 _NAMES = {
@@ -65,7 +64,7 @@ def response_figure(
     labels = list(dict.fromkeys(label for each in models.values() for label in each))
     look = dict(zip(labels, theme.candidate_styles(labels).values(), strict=True))
     sizes = [np.abs(item.values[:, 0, 0]) for item in measured.values()]
-    factor, unit = units.scale(unit, float(max(size.max() for size in sizes)))
+    factor, unit = theme.scale(unit, float(max(size.max() for size in sizes)))
     for column, (title, item) in enumerate(measured.items(), 1):
         if item.values.shape[1:] != (1, 1):
             raise InvalidInput(
@@ -77,14 +76,14 @@ def response_figure(
             _modelled(figure, item, model, label, look[label], factor, column)
         if valid_to and title in valid_to:
             for row in (1, 2, 3, 4):
-                figure.add_vline(x=valid_to[title] / units.TWO_PI, row=row, col=column, line=_MARK)
+                figure.add_vline(x=valid_to[title] / theme.TWO_PI, row=row, col=column, line=_MARK)
     theme.dress(figure, 620, legend=True)
     _response_axes(figure, measured, sizes, factor, unit)
     return figure
 
 
 def _measured(figure: Any, item: Frf, factor: float, column: int, points: bool) -> None:
-    f, value = item.omega / units.TWO_PI, item.values[:, 0, 0]
+    f, value = item.omega / theme.TWO_PI, item.values[:, 0, 0]
     size, angle = np.abs(value), phase(value)
     half = item.radius()[:, 0, 0]
     slack = np.degrees(np.arcsin(np.minimum(half / np.maximum(size, 1e-300), 1.0)))
@@ -109,7 +108,7 @@ def _modelled(
     factor: float,
     column: int,
 ) -> None:
-    f, value = model.omega / units.TWO_PI, model.values[:, 0, 0]
+    f, value = model.omega / theme.TWO_PI, model.values[:, 0, 0]
     in_legend = not any(
         trace.name == theme.plain(label) and trace.showlegend for trace in figure.data
     )
@@ -137,7 +136,7 @@ def _response_axes(
 ) -> None:
     low = min(float(np.quantile(size, 0.02)) for size in sizes) * factor / 2
     high = max(float(size.max()) for size in sizes) * factor * 1.6
-    f = np.concatenate([item.omega for item in measured.values()]) / units.TWO_PI
+    f = np.concatenate([item.omega for item in measured.values()]) / theme.TWO_PI
     figure.update_xaxes(**theme.decades(float(f.min()), float(f.max())))
     figure.update_xaxes(title_text="Frequency [Hz]", row=4)
     angles = np.concatenate([phase(item.values[:, 0, 0]) for item in measured.values()])
@@ -174,16 +173,16 @@ def frequency_figure(
     if np.isnan(fit.frequency).any():
         raise InvalidInput("the fit has no frequencies; draw it with pressure_figure")
     figure = _four_panels()
-    labels = [units.quantity(float(p), "Pa") for p in fit.pressures]
+    labels = [theme.quantity(float(p), "Pa") for p in fit.pressures]
     style = theme.styles(labels)
     for number, letter in enumerate(COEFFICIENTS):
         place = {"row": number // 2 + 1, "col": number % 2 + 1}
-        factor, unit = units.coefficient_scale(letter)
+        factor, unit = theme.coefficient_scale(letter)
         shift = np.linspace(-0.6, 0.6, len(labels)) if len(labels) > 1 else np.zeros(1)
         if fit.systematic.any():
             one = fit.at(float(fit.pressures[0]))
             look = theme.Style("#9aa5ad", "solid", "x-thin", 1.0)
-            f, error = one.frequency / units.TWO_PI, one.systematic[:, number] * factor
+            f, error = one.frequency / theme.TWO_PI, one.systematic[:, number] * factor
             _points(
                 figure,
                 place,
@@ -198,7 +197,7 @@ def frequency_figure(
         for label, pressure, move in zip(labels, fit.pressures.tolist(), shift, strict=True):
             one = fit.at(pressure)
             values, deviations = one.column(letter)
-            f = one.frequency / units.TWO_PI
+            f = one.frequency / theme.TWO_PI
             bars = COVERAGE * deviations * factor
             _points(
                 figure,
@@ -220,14 +219,14 @@ def frequency_figure(
                 in_legend = bool(number == 0 and pressure == fit.pressures[-1])
                 _line(figure, place, ends, level, "truth", _TRUTH, shown=in_legend)
         if valid_to is not None:
-            figure.add_vline(x=valid_to / units.TWO_PI, **place, line=_MARK)
+            figure.add_vline(x=valid_to / theme.TWO_PI, **place, line=_MARK)
         inside = fit.frequency <= (np.inf if valid_to is None else valid_to * 1.01)
         figure.update_yaxes(
             title_text=f"[{unit}]", range=_view(fit.rows(inside), letter, factor), **place
         )
     theme.dress(figure, 520, legend=True)
     figure.update_xaxes(title_text="Frequency [Hz]", row=2)
-    figure.update_xaxes(range=[0, float(fit.frequency.max()) / units.TWO_PI * 1.03])
+    figure.update_xaxes(range=[0, float(fit.frequency.max()) / theme.TWO_PI * 1.03])
     return figure
 
 
@@ -245,12 +244,12 @@ def pressure_figure(
     C, c.
     """
     figure = _four_panels()
-    factor_x, unit_x = units.scale("Pa")
+    factor_x, unit_x = theme.scale("Pa")
     top = max(float(fit.pressure.max()), nominal or 0.0) * 1.05
     span = np.linspace(0.0, top, 60)
     for number, letter in enumerate(COEFFICIENTS):
         place = {"row": number // 2 + 1, "col": number % 2 + 1}
-        factor, unit = units.coefficient_scale(letter)
+        factor, unit = theme.coefficient_scale(letter)
         first = number == 0
         if letter in lines:
             line = lines[letter]

@@ -40,7 +40,7 @@ from ambrose.model.effects.rotor import (
     free_modes,
     gravity_load,
 )
-from ambrose.model.effects.support import foundation
+from ambrose.model.effects.stations import foundation
 from ambrose.model.plant import ports, sensor_ports
 from ambrose.model.static_load import operating_magnets
 

@@ -44,7 +44,6 @@ from ambrose.synthesis.fixed_order.channels import (
     unwarped,
     warped,
 )
-from ambrose.synthesis.fixed_order.descent import descend
 from ambrose.synthesis.fixed_order.job import (
     FASTEST,
     HOLDS,
@@ -56,6 +55,7 @@ from ambrose.synthesis.fixed_order.job import (
     with_states,
 )
 from ambrose.synthesis.fixed_order.objective import Objective, Ratio
+from ambrose.synthesis.fixed_order.polish import descend
 from ambrose.synthesis.fixed_order.structure import Structure, axis_groups, slowed, structured
 
 # The worst point found of the tolerances around a plant: the parameters' feedback is closed
