@@ -277,7 +277,7 @@ def test_a_continuous_controller_is_sampled(place, tmp_path, method):
         (("pid.json", "--sampling", "tustin"), "--sampling needs the rate"),
         (
             ("pid.json", "--input-unit", "um"),
-            "input_unit was stated, but a file of this package says it itself",
+            "input_unit was stated, but a file of this package states it already",
         ),
         (
             ("dsp.mat", "--axes", "a,b,c,d", "--sampling", "zoh", "--rate-hz", "20000"),

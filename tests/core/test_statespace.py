@@ -378,7 +378,7 @@ class TestConnect:
         ("inputs", "outputs", "sums", "message"),
         [
             (["a"], ["y"], {}, "'b'"),
-            (["a", "b"], ["z"], {}, "'z' is no system's output"),
+            (["a", "b"], ["z"], {}, "'z' is neither a system's output"),
             (["a", "b", "y"], ["y"], {}, "external inputs"),
             (["a", "b"], ["y"], {"typo": ["a"]}, "'typo' leads nowhere"),
             (["a"], ["y"], {"b": ["p"], "p": ["q"], "q": ["-p"]}, "need each other"),

@@ -284,7 +284,7 @@ def test_refusals_before_anything_is_fitted():
         ("not between all", measured("G", edit=None).__class__(
             response.machine, response.omega, measured("G").paths[:5], response.point,
             sample_rate_hz=1e4), {}),
-        ("say nothing about", replace(response, paths=response.paths[:1]), {"unknown": UNKNOWN}),
+        ("do not determine", replace(response, paths=response.paths[:1]), {"unknown": UNKNOWN}),
     ):  # fmt: skip
         with pytest.raises(InvalidInput, match=words):
             amb.identify(machine(), given, controller(), **{"unknown": UNKNOWN, **options})

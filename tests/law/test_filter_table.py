@@ -106,7 +106,7 @@ WRONG = {
     "no number": (
         "k.csv",
         "channel,b0,b1,b2,a0,a1,a2\nA,1,0,x,1,0,0\n",
-        "line 2: 'x' is no finite number",
+        "line 2: 'x' is not a finite number",
     ),
     "short row": ("k.csv", "channel,b0,b1,b2,a0,a1,a2\nA,1,0\n", "line 2"),
     "improper": (
@@ -145,7 +145,7 @@ WRONG = {
     "both": ("k.json", '{"channels": {"A": {"sos": [], "poles": [-1]}}}', "write one of the two"),
     "unknown key": ("k.json", '{"chanels": 1, "channels": {}}', "unknown key 'chanels'"),
     "no channel": ("k.json", '{"channels": {}}', "a channel has no name"),
-    "no table": ("k.json", '{"channels": [1]}', "channels is no table"),
+    "no table": ("k.json", '{"channels": [1]}', "channels is not a table"),
     "five": (
         "k.json",
         '{"channels": {"A": {"sos": [[1, 2, 3, 4, 5]]}}}',
@@ -155,7 +155,7 @@ WRONG = {
     "boolean": (
         "k.json",
         '{"channels": {"A": {"sos": [[true, 0, 0, 1, 0, 0]]}}}',
-        "True is no finite number",
+        "True is not a finite number",
     ),
     "infinite": (
         "k.json",

@@ -200,7 +200,7 @@ def test_without_its_registration_the_table_is_unknown(machine):
     try:
         with pytest.raises(InvalidInput, match=r"\[lagged_spring\]: unknown table"):
             loads_machine(MACHINE)
-        with pytest.raises(TypeError, match="LaggedSpring is no part of a registered effect"):
+        with pytest.raises(TypeError, match="LaggedSpring is not part of a registered effect"):
             replace(machine, name="other")
     finally:
         registry.register("effect", "lagged_spring", LAGGED_SPRING)

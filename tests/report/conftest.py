@@ -4,6 +4,8 @@ for every figure.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -17,6 +19,7 @@ from ambrose.machine.description import (
 )
 from ambrose.machine.machine import Machine
 from ambrose.machine.part import Disc, Seal, Sensor, ShaftSection
+from needs import CHROMIUM
 
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
 ZONES = (("zone A/B", 3.0), ("zone B/C", 4.0), ("zone C/D", 5.0))
@@ -327,3 +330,17 @@ def responses() -> list[tuple[str, Curve]]:
 @pytest.fixture(scope="session")
 def comparison() -> list[tuple[str, Curve]]:
     return sample_comparison()
+
+
+@pytest.fixture(scope="session")
+def browser() -> Any:
+    reason = "no playwright: install the extra dev"
+    playwright = pytest.importorskip("playwright.sync_api", reason=reason)
+    with playwright.sync_playwright() as driver:
+        words = ["--no-sandbox", "--disable-dev-shm-usage"]
+        try:
+            made = driver.chromium.launch(executable_path=CHROMIUM, args=words)
+        except playwright.Error as error:
+            pytest.skip(f"no browser: it does not start here: {error.message.splitlines()[0]}")
+        yield made
+        made.close()

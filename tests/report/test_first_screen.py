@@ -20,25 +20,9 @@ from ambrose.report.comparison import comparison_page
 from ambrose.report.page import Page, Section, Table
 from ambrose.rig.trial import Candidate
 from first_screen import WIDTHS, measure
-from needs import CHROMIUM, needs
-
-pytest.importorskip("playwright", reason="no playwright: install the extra dev")
-
-from playwright.sync_api import Error, sync_playwright
+from needs import needs
 
 NAMES = ("tuned", "PID", "H-infinity", "mu", "mu, polished", "commissioned")
-
-
-@pytest.fixture(scope="module")
-def browser() -> Any:
-    with sync_playwright() as driver:
-        words = ["--no-sandbox", "--disable-dev-shm-usage"]
-        try:
-            made = driver.chromium.launch(executable_path=CHROMIUM, args=words)
-        except Error as error:
-            pytest.skip(f"no browser: it does not start here: {error.message.splitlines()[0]}")
-        yield made
-        made.close()
 
 
 def loop(label: str, size: float) -> Checks:

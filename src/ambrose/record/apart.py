@@ -203,7 +203,7 @@ def _part(name: str, get: Callable[[str], Variable]) -> Variable:
             else "a block of numbers"
         )
         raise InvalidInput(
-            f"the variable {name} holds {kind}, but must hold real ones in rows or columns; save "
+            f"the variable {name} has {kind}, but must have real numbers in rows or columns; save "
             "its parts"
         )
     array = np.atleast_2d(array)

@@ -38,7 +38,7 @@ from ambrose.report.figures.bode import residual_figure as residual_response
 from ambrose.report.figures.seals import frequency_figure, pressure_figure, response_figure
 from ambrose.report.page import Cell, Figure, Page, Row, Section, Subject, Table, Verdict, numbers
 from ambrose.report.record import thinned
-from ambrose.report.tables import capitalised, doubtful, without_findings
+from ambrose.report.tables import believed, capitalised, doubtful, without_findings
 
 # Pictures of an identification: parameters against their start, measured over model in time and
 # over frequency, correlations, residual tests.
@@ -563,13 +563,11 @@ def generic_page(done: GenericIdentification, *, date: str = "") -> Page:
         Verdict("Model", known, words if known else "not this model"),
         Verdict("Prediction", done.estimate.prediction.excess <= 1.5, _predicted(done)),
     )
-    count = len(done.findings)
     facts = (
         ("Record", done.record.name),
         ("Columns", ", ".join(f"{what}: {name}" for what, name in done.record.columns)),
         ("Samples", f"{len(done.record.position)} at {done.record.rate:.6g} Hz"),
     )
-    good = "identified, and nothing speaks against it"
     return Page(
         "One axis, from its record alone",
         Subject(done.record.name),
@@ -577,7 +575,7 @@ def generic_page(done: GenericIdentification, *, date: str = "") -> Page:
         verdicts,
         facts,
         date,
-        result=Verdict("Result", not count, "doubtful; see below" if count else good),
+        result=believed("Pole, gain and delay identified", done.findings),
     )
 
 
@@ -652,7 +650,8 @@ def static_page(
         Section("Force per current", "", (picture,), tuple(tables), True),
         Section("Load levels", "", (), (levels_table(result),), folded=True),
     ]
-    count = len(result.warnings)
+    deviations = result.standard_deviations
+    largest = max(map(_relative, zip(result.paths, result.values, deviations, strict=True)))
     verdicts = (
         Verdict(
             "Straightness",
@@ -661,7 +660,10 @@ def static_page(
         ),
         without_findings("Loads", result.warnings, "both sides, position held"),
     )
-    words = "doubtful; see below" if count else "identified, and nothing speaks against it"
+    found = (
+        f"Force per current of {len(result.paths)} axes identified, standard deviation at most "
+        f"{theme.number(100 * largest, 2)} %"
+    )
     facts = (
         ("Records", ", ".join(checked.provenance.records)),
         ("Operating point", result.point.label),
@@ -679,7 +681,7 @@ def static_page(
         verdicts,
         facts,
         date,
-        result=Verdict("Result", not count, words),
+        result=believed(found, result.warnings),
     )
 
 
@@ -1129,21 +1131,23 @@ def identification_page(
     sections.append(
         Section(
             "Can it be believed?",
-            "",
+            capitalised((result.verdict,)),
             tuple(pictures),
             (residual_tests_table(result),) * tested,
             folded=True,
         )
     )
     verdicts = _verdicts(checked, seal)
-    failed = [verdict.label.lower() for verdict in verdicts if verdict.passed is False]
-    traced = any(not test.passed for test in result.tests)
-    good = (
-        "identified; the errors of the model hardly move the values"
-        if traced
-        else "identified, and nothing speaks against it"
+    failed = [verdict for verdict in verdicts if verdict.passed is False]
+    worst, size = _least_certain(result)
+    found = (
+        f"{len(result.paths)} parameters identified, standard deviation at most {size} % ({worst})"
     )
-    words = f"to be doubted: {', '.join(failed)}" if failed else good
+    if any(not test.passed for test in result.tests):
+        found += "; the intervals include the errors of the model"
+    outcome = believed(found, checked.doubts)
+    if outcome.passed and failed:
+        outcome = Verdict("Result", False, f"Doubtful: {failed[0].label.lower()}: {failed[0].text}")
     return Page(
         title or _TITLES[checked.method],
         machine,
@@ -1151,7 +1155,7 @@ def identification_page(
         verdicts,
         _facts(checked),
         date,
-        result=Verdict("Result", not failed, words),
+        result=outcome,
     )
 
 
@@ -1203,19 +1207,16 @@ def _residual_section(residual: ResidualIdentification) -> Section:
 def _verdicts(checked: LoopIdentification, seal: SealFit | None = None) -> tuple[Verdict, ...]:
     result = checked.result
     passed = result.adequate
-    worst = max(
-        zip(result.paths, result.values, result.standard_deviations, strict=True), key=_relative
-    )
+    worst, size = _least_certain(result)
     least = min(percent for _, _, percent in result.fit)
-    sure = _relative(worst) < 0.15 and result.converged
+    sure = _relative(_worst(result)) < 0.15 and result.converged
     verdicts = [
-        Verdict("Residuals", passed, theme.prose(result.verdict)),
+        Verdict("Residuals", passed, theme.prose(result.verdict.partition("; ")[0])),
         Verdict("Fit", None, f"{least:.1f} % or better in every signal"),
         Verdict(
             "Parameters",
             sure,
-            f"standard deviations up to {theme.number(100 * _relative(worst), 2)} % ({worst[0]}), "
-            "condition "
+            f"standard deviations up to {size} % ({worst}), condition "
             f"{theme.number(result.condition, 2)}, {result.iterations} iterations"
             + ("" if result.converged else ", NOT converged"),
         ),
@@ -1237,6 +1238,18 @@ def _verdicts(checked: LoopIdentification, seal: SealFit | None = None) -> tuple
         )
         verdicts.append(Verdict("Seal", not seal.warnings, f"K, k, C, c at {span}{warned}"))
     return tuple(verdicts)
+
+
+def _worst(result: ParameterEstimate) -> tuple[str, float, float]:
+    """Path, value and deviation of the parameter with the largest relative deviation."""
+    rows = zip(result.paths, result.values, result.standard_deviations, strict=True)
+    return max(rows, key=_relative)
+
+
+def _least_certain(result: ParameterEstimate) -> tuple[str, str]:
+    """Its path, and its standard deviation in per cent."""
+    worst = _worst(result)
+    return worst[0], theme.number(100 * _relative(worst), 2)
 
 
 def _relative(row: tuple[str, float, float]) -> float:
@@ -1311,7 +1324,7 @@ def seal_page(done: SealByFrequency, *, date: str = "") -> Page:
         verdicts,
         facts,
         date,
-        result=tables.believed("identified", doubts),
+        result=believed(f"Seal coefficients identified at {len(fit)} points", doubts),
     )
 
 

@@ -207,11 +207,14 @@ class Section:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What holds for one operating point, in plain words; passed None: for information."""
+    """What holds for one operating point, in plain words; passed None: for information; share: of
+    its limit, where it has one.
+    """
 
     label: str
     passed: bool | None
     text: str
+    share: float | None = None
 
     @property
     def mark(self) -> str:

@@ -375,10 +375,10 @@ def run_result(trace: Trace, machine: Machine) -> Verdict:
     """How a run turned out, its outcome and the machine's limits: the verdict that leads its page,
     and that ``simulate`` ends with.
     """
-    if not trace.passed:  # nothing else makes it good
-        return Verdict("Result", False, "the run fails in: outcome")
-    places = stations(trace.record, machine)
-    result = _result(record_verdicts(trace.record, machine, places, trace))
+    rows: tuple[Verdict, ...] = (Verdict(_OUTCOME, trace.passed, theme.prose(trace.text)),)
+    if trace.passed:  # else nothing makes it good
+        rows = record_verdicts(trace.record, machine, stations(trace.record, machine), trace)
+    result = _result(rows)
     assert result is not None  # the outcome is known
     return result
 
@@ -394,9 +394,9 @@ def record_verdicts(
     """
     verdicts = []
     if trace is not None:
-        verdicts.append(Verdict("Outcome", trace.passed, theme.prose(trace.text)))
+        verdicts.append(Verdict(_OUTCOME, trace.passed, theme.prose(trace.text)))
     elif outcome := dict(record.notes).get("outcome"):
-        verdicts.append(Verdict("Outcome", None, theme.prose(outcome)))
+        verdicts.append(Verdict(_OUTCOME, None, theme.prose(outcome)))
     if dict(record.notes).get("complete") == "false":
         verdicts.append(
             Verdict("Record", None, "the run was interrupted; the record ends before its time")
@@ -459,10 +459,9 @@ def _clearance(record: Record, judged: Sequence[Station], first: int | None) -> 
     place = f"sensor {worst.name}" if worst.at_sensor else f"bearing {worst.name}"
     value, limit = theme.pair(float(radius.max()), gap, "m")
     words = (
-        f"largest distance {value} at {place} at t = "
-        f"{_moment(record, first + int(radius.argmax()))}, "
+        f"{value} ({percent(share)} of the gap of {limit}) at {place} at t = "
+        f"{_moment(record, first + int(radius.argmax()))}; at the end {theme.quantity(end, 'm')}"
     )
-    words += f"{percent(share)} of the gap of {limit}; at the end {theme.quantity(end, 'm')}"
     if first:
         words = (
             f"levitated, within {percent(LEVITATED_WITHIN)} of the gap, since t = "
@@ -470,7 +469,7 @@ def _clearance(record: Record, judged: Sequence[Station], first: int | None) -> 
         )
     if share >= 1:
         words += f"; beyond the gap for {np.mean(radius >= gap):.1%} of the time"
-    return [Verdict("Touchdown", share < 1, words)]
+    return [Verdict("Touchdown", share < 1, words, share)]
 
 
 def _against(
@@ -497,13 +496,13 @@ def _against(
     share = shares[axis]
     peak, limit = theme.pair(float(share.max() * by_axis[axis]), float(by_axis[axis]), unit)
     words = "once lifted, " if first else ""
+    most = float(share.max())
     words += (
-        f"largest {peak} at {theme.axis_name(axis)} at t = "
-        f"{_moment(record, first + int(share.argmax()))}, "
+        f"{peak} ({percent(most)} of {limit}) at {theme.axis_name(axis)} at t = "
+        f"{_moment(record, first + int(share.argmax()))}"
     )
-    words += f"{percent(float(share.max()))} of {limit}"
-    if share.max() < _AT_LIMIT:
-        return [Verdict(title, True, words)]
+    if most < _AT_LIMIT:
+        return [Verdict(title, True, words, most)]
     full = {name: row >= _AT_LIMIT for name, row in shares.items()}
     for name, row in full.items():
         if row.any():
@@ -511,14 +510,15 @@ def _against(
             words += (
                 f"; at the limit {theme.axis_name(name)} for {seconds} ({100 * row.mean():.2g} %)"
             )
-    if share.max() > 1 + (1 - _AT_LIMIT):
-        return [Verdict(title, False, words)]
+    if most > 1 + (1 - _AT_LIMIT):
+        return [Verdict(title, False, words, most)]
     last = -max(1, len(share) // _LAST)
     stays = any(row[last:].any() for row in full.values())
     ends = "still at it at the end" if stays else REACHED
-    return [Verdict(title, False if stays else None, f"{words}; {ends}")]
+    return [Verdict(title, False if stays else None, f"{words}; {ends}", most)]
 
 
+_OUTCOME = "Outcome"
 REACHED = "reached its limit and came off it"
 
 
@@ -672,16 +672,22 @@ def _around(
 
 
 def _result(verdicts: tuple[Verdict, ...]) -> Verdict | None:
+    """Whether the run is good: what failed first, or what came nearest to its limit."""
     known = [verdict for verdict in verdicts if verdict.passed is not None]
-    failed = [verdict.label.lower() for verdict in known if not verdict.passed]
     if not known:
         return None
-    reached = [verdict.label.lower() for verdict in verdicts if verdict.text.endswith(REACHED)]
-    words = "the run stays within all limits of the machine"
-    if failed:
-        words = f"the run fails in: {', '.join(failed)}"
-    elif reached:
-        words += f"; {' and '.join(reached)} {REACHED}"
+    failed = [verdict for verdict in known if not verdict.passed]
+    shares = [verdict for verdict in verdicts if verdict.share is not None]
+    decisive = (*failed[:1], *sorted(shares, key=lambda verdict: -(verdict.share or 0.0))[:1])
+    words = "The run fails." if failed else "The run stays within all limits of the machine."
+    if decisive:
+        one = decisive[0]
+        what = one.label if failed else f"Nearest to its limit: {one.label.lower()}"
+        words += f" {what}, {one.text.partition('; ')[0]}."
+    if len(failed) > 1 and failed[0].label != _OUTCOME:  # what failed it exceeds the limits, too
+        words += f" Failed too: {', '.join(verdict.label.lower() for verdict in failed[1:])}."
+    elif not failed and decisive and decisive[0].text.endswith(REACHED):
+        words += f" It {REACHED}."
     return Verdict("Result", not failed, words)
 
 

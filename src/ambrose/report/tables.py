@@ -180,14 +180,12 @@ def without_findings(label: str, findings: Sequence[Any], good: str, *, see: str
     return Verdict(label, not count, words if count else good)
 
 
-def believed(verb: str, findings: Sequence[Any]) -> Verdict:
-    """How a measured result turned out: "identified, and nothing speaks against it"."""
-    words = (
-        f"{verb}, but doubtful: see the findings"
-        if findings
-        else f"{verb}, and nothing speaks against it"
-    )
-    return Verdict("Result", not findings, words)
+def believed(found: str, findings: Sequence[Finding]) -> Verdict:
+    """The verdict on a measured result: what was found, or the first finding with its remedy."""
+    if not findings:
+        return Verdict("Result", True, f"{found}. No fault found in the records.")
+    more = f" ({len(findings) - 1} more below)" if len(findings) > 1 else ""
+    return Verdict("Result", False, f"Doubtful: {theme.prose(str(findings[0]))}{more}")
 
 
 def loop_in_words(timing: str) -> str:

@@ -343,7 +343,7 @@ def test_refusals_say_what_to_do():
         build_cascade(deploy(source, DT, force=True, method="zoh"), bank, MACHINE, "rig", 1e-3, 4.0)
     block, _ = both()
     with pytest.raises(
-        InvalidInput, match=r"rounding noise of u_A_\w+ .* narrow error_limit to (\S+) m"
+        InvalidInput, match=r"rounding noise of u_A_\w+ .* lower error_limit to (\S+) m"
     ) as refused:
         in_words(block, 16)
     narrow = float(str(refused.value).partition("error_limit to ")[2].partition(" m")[0])

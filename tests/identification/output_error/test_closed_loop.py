@@ -299,7 +299,7 @@ def test_what_the_records_do_not_show_is_refused():
     for estimated in (False, True):  # then there is only what the noise makes of the initial state
         with pytest.raises(
             InvalidInput,
-            match=r"say nothing about bearing\.A\.force_per_current\.eta; excite its axis",
+            match=r"do not determine bearing\.A\.force_per_current\.eta; excite its axis",
         ):
             identify(machine, record, controller, NINE, initial_state=estimated)
     zeta = ("bearing.*.force_per_current.zeta", "bearing.*.negative_stiffness.zeta")

@@ -33,7 +33,7 @@ def test_a_trial_at_which_nothing_can_be_told_is_a_refused_step():
 
 
 def test_a_start_at_which_nothing_can_be_told_is_an_error():
-    with pytest.raises(InvalidInput, match="say nothing about b"):
+    with pytest.raises(InvalidInput, match="do not determine b"):
         minimise(valley(lambda x: True, []), np.zeros(2), np.ones(2), lambda x: True)
 
 

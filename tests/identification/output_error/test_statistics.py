@@ -110,7 +110,7 @@ def test_twins_are_named():
     J = np.array([[1.0, 2.0, 0.0], [0.5, 1.0, 0.0], [0.0, 1.0, 1.0]])
     with pytest.raises(InvalidInput, match="cannot tell a from b; excite where they differ"):
         statistics.check_visible("abc", J @ J.T, np.ones(3))
-    with pytest.raises(InvalidInput, match="say nothing about b"):
+    with pytest.raises(InvalidInput, match="do not determine b"):
         statistics.check_visible("ab", np.diag([1.0, 0.0]), np.ones(2))
     statistics.check_visible("ac", J[[0, 2]] @ J[[0, 2]].T, np.array([1e3, 1e-3]))
 

@@ -22,7 +22,7 @@ from ambrose.report.figures.motion import (
     waterfall_figure,
     window,
 )
-from ambrose.report.page import render
+from ambrose.report.page import render, write
 from ambrose.report.record import (
     radius_curve,
     record_page,
@@ -33,6 +33,8 @@ from ambrose.report.record import (
 )
 from ambrose.rig.scenario import Scenario
 from ambrose.rig.trace import Trace
+from first_screen import WIDTHS, measure
+from needs import needs
 
 RATE = 10e3
 RADIUS = 20e-6
@@ -251,7 +253,7 @@ def test_verdicts_name_the_nearest_to_its_limit():
         and "B η for 99.9\u00a0ms (25 %); still at it at the end"
         in verdicts["Controller output"].text
     )
-    assert verdicts["Magnet forces"].text.endswith("1.2% of 7\u202f500\u00a0N")
+    assert verdicts["Magnet forces"].text.startswith("90\u00a0N (1.2% of 7\u202f500\u00a0N)")
 
 
 def test_contact_fails_unless_the_rotor_starts_in_it():
@@ -288,19 +290,24 @@ _TIME = np.arange(4000) / RATE
 @pytest.mark.parametrize(
     ("output", "force", "passed", "words"),
     [
-        (0.5 + 0 * _TIME, 0.0, True, "within all limits of the machine$"),
+        (
+            0.5 + 0 * _TIME,
+            0.0,
+            True,
+            "within all limits.* Nearest to its limit: controller output, 2\u00a0A",
+        ),
         # one sample of 4000: 0.0 % of the time, and no failure
         (
             np.where(np.arange(4000) == 9, 1.0, 0.1),
             0.0,
             True,
-            "controller output reached its limit",
+            "controller output, 4\u00a0A .* It reached its limit",
         ),
-        (np.where(_TIME < 0.2, -1.0, 0.1), 0.0, True, "came off it$"),
+        (np.where(_TIME < 0.2, -1.0, 0.1), 0.0, True, "came off it.$"),
         # a limit cycle up to the end; a linear run beyond what the amplifier gives
-        (np.where(np.arange(4000) % 7 == 0, 1.0, 0.1), 0.0, False, "fails in: controller output$"),
-        (np.where(np.arange(4000) == 9, 1.2, 0.1), 0.0, False, "fails in: controller output$"),
-        (0.1 + 0 * _TIME, 9000.0, False, "fails in: magnet forces$"),
+        (np.where(np.arange(4000) % 7 == 0, 1.0, 0.1), 0.0, False, "fails. Controller output, "),
+        (np.where(np.arange(4000) == 9, 1.2, 0.1), 0.0, False, "fails. Controller output, "),
+        (0.1 + 0 * _TIME, 9000.0, False, "fails. Magnet forces, "),
     ],
 )
 def test_a_run_has_one_verdict(output, force, passed, words):
@@ -327,6 +334,14 @@ def test_the_headline_of_a_page_is_what_simulate_ends_with():
     assert record_page(lost, MACHINE, date="2026-01-02").result == run_result(lost, MACHINE)
 
 
+@needs("browser")
+@pytest.mark.parametrize("width", WIDTHS)
+def test_the_first_screen_of_a_run(width, browser, tmp_path):
+    page = record_page(at_limit(np.where(np.arange(4000) == 9, 1.0, 0.1)), MACHINE)
+    seen = measure(browser, write(page, tmp_path / "run.html"), width)
+    assert seen.verdict < seen.decides <= WIDTHS[width] and seen.words <= 1500 and not seen.wider
+
+
 def test_the_page_of_a_trace():
     trace = Trace(whirling(), "run <b>", False, "touchdown", "touchdown at A_zeta")
     report = record_page(trace, MACHINE, date="2026-01-02")
@@ -344,7 +359,7 @@ def test_the_page_of_a_trace():
     ]
     assert (
         labels(report)["Outcome"].passed is False
-        and report.result.text == "the run fails in: outcome"
+        and report.result.text == "The run fails. Outcome, touchdown at A\u00a0ζ."
     )
     page = render(report)
     assert (

@@ -275,7 +275,9 @@ def bias_page(done: BiasCampaign, *, date: str = "") -> Page:
         (tables.without_findings("Records", done.findings, good),),
         facts,
         date,
-        result=tables.believed("identified", done.findings),
+        result=tables.believed(
+            f"Magnets identified at {len(done.rows)} bias currents", done.findings
+        ),
     )
 
 
@@ -426,7 +428,7 @@ def frf_page(found: Responses, *, date: str = "") -> Page:
         (tables.without_findings("Records", found.findings, good),),
         facts,
         date,
-        result=tables.believed("measured", found.findings),
+        result=tables.believed("Frequency responses measured", found.findings),
     )
 
 

@@ -236,7 +236,7 @@ def timed(inner: LoopModel, computing_delay: float, unknown: Sequence[str]) -> T
             f"the fitted signal {commands[0]}",
             "a controller output whose instant is not a whole sample",
             "y_ or i_<axis>",
-            "leave it out of signals, or give a whole computing_delay and keep the delay known",
+            "leave it out of signals, or give a whole computing_delay and do not fit the delay",
         )
     room = int(np.floor(computing_delay)) + 1 + (_ROOM if CONTROLLER_DELAY in unknown else 0)
     late = AHEAD + 1 + _ROOM if EXCITATION_DELAY in unknown else 0

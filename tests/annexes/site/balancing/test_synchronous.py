@@ -148,7 +148,7 @@ def test_a_growing_unbalance_is_told_and_a_constant_one_is_not(loop, tmp_path):
     [
         ([], "no record is given"),
         (["--since", "a.csv"], "--since is a.csv, but must be given with --amplitudes"),
-        (["--amplitudes", "a.csv", "b.h5"], "a record is given beside --amplitudes"),
+        (["--amplitudes", "a.csv", "b.h5"], "a record is given with --amplitudes"),
     ],
 )
 def test_the_command_refuses_what_does_not_go_together(more, message):
@@ -206,7 +206,7 @@ def test_amplitudes_are_of_speeds_at_which_a_block_is_on(loop, tmp_path):
     )
     top = loop.machine.operation.speed_range[1]
     assert 800.0 < top < 1000.0
-    with pytest.raises(InvalidInput, match=r"above the machine's own: 9,549\.3 rpm is 10"):
+    with pytest.raises(InvalidInput, match=r"above the machine's range: 9,549\.3 rpm is 10"):
         balance_amplitudes(loop.machine, high, planes)
     told = balance_amplitudes(loop.machine, low, planes)
     assert "is not checked" in told.notes[0]
