@@ -457,3 +457,36 @@ def test_a_number_of_no_machine_fails_the_check_and_the_identification(
 
 def test_an_idle_gauge_a_little_below_zero_is_no_mistake():
     assert amb.check_record(at(record("yue"), seal_pressure=-150.0)).passed
+
+
+SEMICOLON = r"separated by a semicolon, but must be by commas; export it with commas and decimal"
+WIDE = r'text in UTF-16 \("Unicode text"\); save it as CSV in UTF-8'
+SAVED = {
+    "semicolons and decimal commas": (
+        lambda text: text.replace(".", "@").replace(",", ";").replace("@", ",").encode(),
+        SEMICOLON,
+    ),
+    "semicolons": (lambda text: text.replace(",", ";").encode(), SEMICOLON),
+    "tabs": (lambda text: text.replace(",", "\t").encode(), SEMICOLON.replace("semicolon", "tab")),
+    "UTF-16": (lambda text: text.encode("utf-16"), WIDE),
+    "UTF-16, big end first": (lambda text: b"\xfe\xff" + text.encode("utf-16-be"), WIDE),
+    "UTF-16 without a mark": (lambda text: text.encode("utf-16-le"), WIDE),
+}
+
+
+@pytest.mark.parametrize("file", ["record.csv", "responses.csv"])
+@pytest.mark.parametrize("how", SAVED)
+def test_a_table_saved_by_a_spreadsheet_is_refused_in_a_sentence(tmp_path, ran, file, how):
+    """Semicolons in responses were "a column from ''"; UTF-16 was sent to a column map."""
+    path, (change, words) = tmp_path / file, SAVED[how]
+    if file == "record.csv":
+        write_record(record("yue", count=500), path)
+    else:
+        write_response(responses(), path)
+    path.write_bytes(change(path.read_text(encoding="utf-8")))
+    for command in (["record", "check", str(path)], ["identify", "seal-rig", str(path)]):
+        more = ["--controller", str(ran)] if command[0] == "identify" else []
+        run = CliRunner().invoke(main, [*command, *more])
+        (said,) = (line for line in run.output.splitlines() if line.startswith("ambrose: "))
+        assert run.exit_code == 2 and re.search(words, said), said
+        assert said.count("; ") == 1

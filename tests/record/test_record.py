@@ -247,7 +247,10 @@ def test_record_refuses(record, changes, message):
             set_line("time", "time [s],y_A_zeta [m],e_B_eta [A]\n"),
             "data row 1 has 4 cells, but there are 3 columns",
         ),
-        (set_line("time", "time [s];y_A_zeta [m];e_B_eta [A];f_center_x [N]\n"), "separator"),
+        (
+            set_line("time", "time [s];y_A_zeta [m];e_B_eta [A];f_center_x [N]\n"),
+            "separated by a semicolon",
+        ),
         (set_line("time", "time [s],y_A_zeta [m],y_A_zeta [m],f_center_x [N]\n"), "unique"),
         (set_line("0.25,", "0.25,nan,0,0\n"), "y_A_zeta at sample 0.*is nan"),
         (set_line("0.25,", "0.25,,0,0\n"), "number in every cell"),

@@ -32,6 +32,7 @@ from ambrose.core.statespace import (
     spectral_abscissa,
     static_gain,
 )
+from ambrose.judge.loop_response import LoopResponse, Rows, half_order_share
 from ambrose.judge.plants import judge_stability, loop_abscissa
 from ambrose.law.design_problem import Weights
 from ambrose.law.law import FixedLaw, Law, LawLike, ScheduledLaw, Scheduling, law_of
@@ -57,7 +58,8 @@ def certify(plant: Plant | StateSpace, controller: LawLike, margins: bool = True
     plant: a Plant, or a StateSpace from currents u [A] to displacements y [m] (its signals matched
     to the controller's by place). A sampled controller closes the loop around the plant sampled
     with a zero-order hold; everything then holds at the samples. ``closed_loop_norm`` is the
-    H-infinity norm of S_o. The margins:
+    H-infinity norm of S_o, of a thrust axis with solid cores times ``half_order_share``. The
+    margins:
 
     - ``sensitivity_peak``, ``complementary_peak`` [-]: H-infinity norms of S_o and T_o;
     - ``disk_gain_margin``, ``disk_gain_reduction`` [-], ``disk_phase_margin_rad``: what every axis
@@ -77,10 +79,19 @@ def certify(plant: Plant | StateSpace, controller: LawLike, margins: bool = True
     if not abscissa < 0:
         return Certificate(False, abscissa, float("inf"), fastest, {}, label)
     loop = continuous_equivalent(loop)  # margins and norms do not change under the bilinear map
-    peak = float(hinf_norm(feedback(static_gain(identity), loop)).value)
+
+    def share(rows: Rows) -> tuple[float, str]:
+        if isinstance(plant, Plant):
+            return half_order_share(plant, controller, rows)
+        return 1.0, ""
+
+    factor, words = share(LoopResponse.output_sensitivity)
+    peak = factor * float(hinf_norm(feedback(static_gain(identity), loop)).value)
     figures = {"sensitivity_peak": peak}
+    label += words
     if margins:
-        complementary = float(hinf_norm(feedback(loop, static_gain(identity))).value)
+        factor, _ = share(LoopResponse.complementary)
+        complementary = factor * float(hinf_norm(feedback(loop, static_gain(identity))).value)
         figures |= {"complementary_peak": complementary, **disk_margins(peak, complementary)}
     return Certificate(True, abscissa, peak, fastest, figures, label)
 

@@ -30,6 +30,7 @@ from ambrose.judge.checks import (
     refuse_motion,
     required_line,
 )
+from ambrose.judge.loop_response import solid_cores
 from ambrose.judge.measured import Responses, check_measured, placed
 from ambrose.judge.plants import (
     Progress,
@@ -78,7 +79,8 @@ def check_range(
     continuous).
     """
     extremes = search(machine, area, law, timing)
-    modes, looked = default_bending_modes(assemble(machine, area.corners[0])), 0
+    corner, looked = assemble(machine, area.corners[0]), 0
+    modes, cored = default_bending_modes(corner), solid_cores(corner)
 
     def certified(speed: float, pressure: float, bending: int | None = None) -> Certificate:
         nonlocal looked
@@ -142,7 +144,8 @@ def check_range(
             worst.closed_loop_norm,
             "-",
             wanted,
-            f"{area.at(*place).label}, on the full plant; found on a grid of {size}",
+            f"{area.at(*place).label}, on the full plant; found on a grid of {size}"
+            + (", with the cores' half order" if cored else ""),
         ),
     )
     curves: tuple[Curve, ...] = ()

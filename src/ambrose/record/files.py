@@ -30,7 +30,7 @@ from ambrose.machine.ordinary_file import (
 from ambrose.machine.units import quoted
 from ambrose.record.hdf5_file import RecordAttributes, read_attributes, record_of
 from ambrose.record.record import Record, si_values, uniform_rate
-from ambrose.record.text_uff import number_block
+from ambrose.record.text_uff import number_block, refuse_encoding, refuse_separators
 
 # Records as CSV: "# key: value" lines, a header of names with units, the time in the first column.
 
@@ -62,6 +62,8 @@ def read_csv(path: Path) -> Record:
     """The record; a spreadsheet's byte order mark and line ends are understood. Raises
     InvalidInput.
     """
+    with path.open("rb") as raw:
+        refuse_encoding(raw.read(4096))
     with path.open(encoding="utf-8-sig") as file:
         try:
             lines: dict[str, str] = {}
@@ -81,6 +83,8 @@ def read_csv(path: Path) -> Record:
                     lines[key.strip()] = value.strip()
             else:
                 line = ""
+            if lines:  # a record, and no log of another program
+                refuse_separators(line)
             attributes = read_attributes(lines)
             columns = _csv_columns(line)
             # refuses names and units first
@@ -90,9 +94,8 @@ def read_csv(path: Path) -> Record:
             raise
         except UnicodeDecodeError as error:
             raise InvalidInput(
-                "it is not a CSV file of this package (it is not in UTF-8); give the column map "
-                "of a "
-                "foreign log (--columns)"
+                "it is not a CSV file of this package (it is not in UTF-8); save it as CSV in UTF-8, "
+                "or give the column map of a foreign log (--columns)"
             ) from error
         except ValueError as error:
             raise InvalidInput(
@@ -180,13 +183,6 @@ def _blocks(
 
 
 def _csv_columns(line: str) -> list[tuple[str, str]]:
-    if ";" in line or "\t" in line:
-        raise invalid(
-            "the separator of the columns",
-            "a semicolon or tab",
-            "a comma",
-            "export with comma and decimal point",
-        )
     columns = []
     if line.count(",") > SIGNALS:
         raise invalid(

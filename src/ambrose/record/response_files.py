@@ -35,7 +35,7 @@ from ambrose.record.foreign import Column
 from ambrose.record.hdf5_file import fixed, opened, own_member
 from ambrose.record.record import POINT_KEYS
 from ambrose.record.response import CURRENT, QUANTITIES, SENSOR, Path, Response, unit_factor
-from ambrose.record.text_uff import ABSCISSA, Variable
+from ambrose.record.text_uff import ABSCISSA, Variable, refuse_encoding, refuse_separators
 
 FORMAT = "ambrose responses"
 _PLAIN = {".csv", ".txt", ".dat", ".asc", ".uff", ".unv"}  # that no library reads
@@ -194,6 +194,8 @@ def write_response(response: Response, path: str | File) -> File:
 def _own_map(path: File) -> ResponseMap:
     """The map that a CSV's own header makes. Raises InvalidInput."""
     check_source(path, "responses")
+    with path.open("rb") as raw:
+        refuse_encoding(raw.read(4096))
     said: dict[str, str] = {}
     head = ""
     with path.open(encoding="utf-8-sig", errors="replace") as lines:
@@ -203,6 +205,7 @@ def _own_map(path: File) -> ResponseMap:
                 break
             key, _, value = line[1:].partition(":")
             said[key.strip()] = value.strip()
+    refuse_separators(head)
     remedy = "add lines such as '# speed_rad_s: 0' above the header, or give a column map"
     for key in ("machine", "speed_rad_s", "seal_pressure_pa"):
         if not said.get(key):

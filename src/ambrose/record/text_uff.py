@@ -148,15 +148,33 @@ def number_block(
     return numbers
 
 
-def _lines(path: Path) -> list[Cell]:
-    """The lines that are not blank, with their numbers."""
-    data = path.read_bytes()
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+def refuse_encoding(start: bytes) -> None:
+    """Raises InvalidInput for the first bytes of a file that are no text, or text in UTF-16."""
+    marked = start[:2] in (b"\xff\xfe", b"\xfe\xff")
+    # of plain letters every second byte is zero
+    halves = [half.count(0) for half in (start[0::2], start[1::2])]
+    if marked or (max(halves) > 0.4 * len(start) and min(halves) == 0):
         raise InvalidInput('it is text in UTF-16 ("Unicode text"); save it as CSV in UTF-8')
-    if b"\0" in data[:4096]:
+    if b"\0" in start:
         raise InvalidInput(
             "it is not text; export the record as a text table, or as a file of MATLAB or LabVIEW"
         )
+
+
+def refuse_separators(header: str) -> None:
+    """Raises InvalidInput for a line of headings that commas do not separate."""
+    found = [name for mark, name in ((";", "a semicolon"), ("\t", "a tab")) if mark in header]
+    if found:
+        raise InvalidInput(
+            f"its columns are separated by {found[0]}, but must be by commas; export it with "
+            "commas and decimal points, or give a column map (--columns)"
+        )
+
+
+def _lines(path: Path) -> list[Cell]:
+    """The lines that are not blank, with their numbers."""
+    data = path.read_bytes()
+    refuse_encoding(data[:4096])
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:

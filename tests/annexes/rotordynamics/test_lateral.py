@@ -5,6 +5,7 @@ m x'' + c x' + k x = U W^2 e^{j W t},    with a cross-coupling Q in the middle: 
 
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -50,7 +51,10 @@ from ambrose.judge.nominal import check
 from ambrose.judge.unbalance import AxisLimits, Demand, together
 from ambrose.law.law import law_of
 from ambrose.law.loop import running_law, timing_of
+from ambrose.law.pid import pid_controller
+from ambrose.machine.description import OperatingPoint, Operation
 from ambrose.machine.file.toml import loads_machine
+from ambrose.machine.part import Seal, SealTable
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.stations import IMPULSE, SURGE, Clearance
 from ambrose.registry import registered, resolve
@@ -1005,3 +1009,62 @@ def test_a_capacity_row_says_which_load_which_bearing_and_which_limit_binds():
         "bearing DE, axis DE_eta: unbalance (600 rpm mode, at trip) at 159.2 Hz: demand 100 N "
         "0-p, available 800 N 0-p"
     )
+
+
+def swirling(k, speeds=(1800, 2000, 2200)):
+    """A pump that turns at 3000 rpm, with a seal whose k [N/m] is that at the middle one of three
+    speeds [rpm] and zero at the others; its controller, continuous.
+    """
+    pump = coarse("turbomolecular-pump")
+    over = (("speed", tuple(RPM * rpm for rpm in (0, *speeds, 6000))),)
+    table = SealTable(over, (("k", np.array([0.0, 0.0, k, 0.0, 0.0])),))
+    machine = replace(
+        pump,
+        seals=(Seal("ring", 0.5 * pump.length, table=table),),
+        tolerances=(),
+        operation=Operation((OperatingPoint(3000 * RPM, 1e5, label="full"),)),
+        controller=replace(pump.controller, sample_time=None, delay=None),
+    )
+    return machine, pid_controller(machine.reference, machine)
+
+
+def closed_by_hand(machine, law, rpm):
+    """x' = A x + B u, y = C x, xk' = Ak xk - Bk y, u = Ck xk - Dk y."""
+    point = replace(machine.operation.points[0], speed=rpm * RPM, label="")
+    plant = assemble(machine, point)
+    K, P = running_law(law, plant, None), plant.system
+    u = [P.inputs.index(name) for name in K.outputs]
+    y = [P.outputs.index(name.replace("err_", "y_")) for name in K.inputs]
+    B, C = P.B[:, u], P.C[y]
+    assert not P.D[np.ix_(y, u)].any()
+    return np.block([[P.A - B @ K.D @ C, B @ K.C], [-K.B @ C, K.A]])
+
+
+def test_a_loop_that_a_run_up_loses_below_the_running_speed_fails():
+    """Unstable around 2000 rpm, stable at 3000: it passed, with curves through it."""
+    k = 3e7
+    machine, law = swirling(k)
+
+    # the gyroscopic moments are linear in the speed, the force of the seal in k: A = A0 + W A1 + k A2
+    still, _ = swirling(0.0)
+    at_rest, turning = closed_by_hand(still, law, 0), closed_by_hand(still, law, 2000)
+    swirled = closed_by_hand(machine, law, 2000)
+    gyroscopic, force = (turning - at_rest) / 2000, (swirled - turning) / k
+    grid = np.arange(1000.0, 3160.0, 20.0)
+    of_seal = np.interp(grid, [1800, 2000, 2200], [0.0, k, 0.0])
+
+    def abscissa(rpm, k):
+        return float(np.linalg.eigvals(at_rest + rpm * gyroscopic + k * force).real.max())
+
+    own = np.array([abscissa(*each) for each in zip(grid, of_seal, strict=True)])
+    lost = grid[own >= 0]
+    assert 1800 < lost[0] < 1990 and 2010 < lost[-1] < 2200 and own[-1] < 0
+    (row, *_) = amb.lateral(machine, law, tolerances=False).items
+    assert row.name == "stability" and row.passed is False
+    rpm, real = map(
+        float, re.search(r"at (\S+) rpm a pole has real part (\S+) 1/s", row.note).groups()
+    )
+    assert lost[0] - 20 <= rpm <= lost[-1] + 20
+    # as printed: the speed to 0.1 rpm, the real part to 0.1 1/s
+    ends = [abscissa(w, np.interp(w, grid, of_seal)) for w in (rpm - 0.05, rpm + 0.05)]
+    assert min(ends) - 0.05 <= real <= max(ends) + 0.05
