@@ -166,13 +166,17 @@ def apart(K: np.ndarray, axis: int) -> bool:
 
 
 def sensitivity_of(
-    response: Response, axes: Sequence[str], K: np.ndarray
+    response: Response, axes: Sequence[str], law: StateSpace, modes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Output sensitivity S (w, a, a) of the loop with K (w, a, a) that ran, the deviation (w, a) of
-    its diagonal, and that (w,) of its largest singular value; NaN where it was not measured. Raises
-    InvalidInput where an axis was not.
+    """Output sensitivity S (w, a, a) of the loop with the law that ran, the deviation (w, a + 1) of
+    its diagonal and of its largest singular value, and the largest (w - 1, a + 1) that both may be
+    between two lines; NaN where it was not measured. modes: as for ``between``. Raises InvalidInput
+    where an axis was not measured.
     """
     n, a = len(response.omega), len(axes)
+    if n < _FEW:
+        raise invalid("the number of lines", n, f"at least {_FEW}", "sweep more")
+    K = frequency_response(law, response.omega).values
     try:
         blocks = {tuple(range(a)): lines_of(response, axes)}
     except InvalidInput:
@@ -180,18 +184,26 @@ def sensitivity_of(
         if len(own) < a:
             raise
         blocks = {(i,): lines for i, lines in own.items()}
-    S, sd = np.full((n, a, a), np.nan, complex), np.full((n, a), np.nan)
-    largest = np.full(n, np.nan)
+    S, sd = np.full((n, a, a), np.nan, complex), np.full((n, a + 1), np.nan)
+    rise = np.full((n - 1, a + 1), np.nan)
+    dense = np.zeros((0, a, a))
     for places, lines in blocks.items():
-        part = np.ix_(range(n), places, places)
-        zero = np.zeros(lines.X.shape)
-        points = Between(lines.omega, lines.X, lines.variance, zero, np.ones(n))
-        judged = judge_lines(points, lines, K[part], K[part])
-        S[part] = judged.S
-        sd[:, places] = judged.radius / lines.reach
+        points = between(lines, _poles_of(law), modes)
+        part = np.ix_(range(len(points.omega)), places, places)
+        if not len(dense):  # the same for every block
+            dense = frequency_response(law, points.omega).values
+        judged = judge_lines(points, lines, dense[part], dense[part])
+        at = np.searchsorted(points.omega, lines.omega)
+        own_size = np.abs(np.einsum("wii->wi", judged.S))
+        columns, sizes, radius = list(places), own_size, judged.radius
         if len(places) == a:
-            largest = judged.largest_radius / lines.reach
-    return S, sd, largest
+            columns.append(a)
+            sizes = np.column_stack([sizes, judged.largest])
+            radius = np.column_stack([radius, judged.largest_radius])
+        S[np.ix_(range(n), places, places)] = judged.S[at]
+        sd[:, columns] = radius[at] / lines.reach
+        rise[:, columns] = np.maximum.reduceat(sizes + radius, at[:-1], axis=0)
+    return S, sd, rise
 
 
 def _as_closed(path: Path) -> Path:
@@ -272,6 +284,7 @@ def between(lines: Lines, extra: np.ndarray, modes: np.ndarray) -> Between:
     omega, n = lines.omega, len(lines.omega)
     steps = np.arange(_BETWEEN) / _BETWEEN
     dense = np.exp(np.interp(np.arange(n - 1)[:, None] + steps, np.arange(n), np.log(omega)))
+    dense[:, 0] = omega[:-1]  # and not what rounding makes of them
     dense = add_poles(np.append(dense.ravel(), omega[-1]), extra)
 
     # the cubic: its value, and the variance that it has of the lines'

@@ -468,17 +468,24 @@ def _of_response(
     K = frequency_response(law, omega).values
     held = c2d(select(plant.system, plant.named("u"), plant.named("y")), timing.sample_time)
     refuse_scales(response, axes, frequency_response(held, omega).values, K)
-    S, deviation, above = sensitivity_of(response, axes, K)
+    s = poles(closed_loop(plant, law))
+    s = np.log(s[np.abs(s) > 1e-6].astype(complex)) / timing.sample_time
+    S, deviation, rise = sensitivity_of(response, axes, law, s[(s.imag > 0) & (s.real < 0)])
 
     # lines above the range of the limits tell nothing of them
     kept = omega <= highest
-    omega, K, S, deviation, above = (item[kept] for item in (omega, K, S, deviation, above))
-    noise = _COMPONENT * deviation
+    omega, K, S, deviation = (item[kept] for item in (omega, K, S, deviation))
+    noise = _COMPONENT * deviation[:, :-1]
     own = np.abs(np.einsum("wii->wi", S))
     half = np.hypot(noise, _CURVED * own * np.abs(1 - np.einsum("wii->wi", S)))
     whole = bool(np.isfinite(S).all())
     sigma = np.linalg.norm(S, 2, axis=(1, 2)) if whole else np.zeros(len(omega))
-    high = sigma + _COMPONENT * np.nan_to_num(above)
+    high = sigma + _COMPONENT * np.nan_to_num(deviation[:, -1])
+
+    # between two lines: what the prediction rises, and what the lines themselves may hide
+    ends = np.column_stack([own + half, high])
+    hidden = rise[: len(omega) - 1] / np.maximum(ends[:-1], ends[1:])
+    rises = np.fmax(between(plant, law, omega), hidden)
     limits = [
         demand(words, machine.requirements).limit
         for words in ("sensitivity of an axis", "maximum singular value of a sensitivity")
@@ -498,7 +505,7 @@ def _of_response(
         (("predicted", _predicted(plant, K, omega, timing.sample_time)),),
         np.ones((len(omega), len(axes))),
         Checks(point.label or f"{point.speed / TWO_PI:.4g} Hz", True, (), (), ()),
-        between(plant, law, omega),
+        rises,
         told,
     )
     resonances = predicted_resonances(plant, law, min(highest, float(omega[-1])))
