@@ -16,8 +16,9 @@ from ambrose import load_machine
 from ambrose.cli import main
 from ambrose.machine.file.toml import machine_hash, read_machine_text
 from ambrose.record.files import read_record, write_record
+from coarse import coarse_file
 
-RIG = "seal-rig"
+RIG = coarse_file("seal-rig")
 NINE = ("--unknown", "bearing.*.force_per_current.*", "--unknown", "bearing.*.negative_stiffness.*")
 QUICK = """
 name = "short"

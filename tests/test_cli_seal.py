@@ -17,8 +17,10 @@ from ambrose.machine.description import OperatingPoint
 from ambrose.model.assemble import seal_coefficients
 from ambrose.record.files import write_record
 from ambrose.rig.scenario import Prbs, Scenario, SteppedSine
+from coarse import coarse, coarse_file
 
 HZ, BAR = 2 * np.pi, 1e5
+RIG = coarse_file("seal-rig")
 
 
 def call(*arguments):
@@ -48,7 +50,7 @@ def runs(machine, scenario, pressures, rate=1e4):
 
 @pytest.fixture(scope="module")
 def broadband():
-    machine = amb.load_machine("three-bearing-train")
+    machine = coarse("three-bearing-train")
     items = tuple(Prbs(f"e_{a}", 0.3, 2e-4, order=14, seed=i) for i, a in enumerate(machine.axes))
     return machine, runs(
         machine, Scenario("noise", 3.0, sequences=items), (0.0, 10 * BAR, 20 * BAR), 2e4
@@ -57,7 +59,7 @@ def broadband():
 
 @pytest.fixture(scope="module")
 def sines():
-    machine = amb.load_machine("seal-rig")
+    machine = coarse("seal-rig")
     frequencies, ways = tuple(f * HZ for f in (15.0, 35.0, 55.0)), []
     for start, way in ((0.0, "zeta"), (3.0, "eta")):
         ways += [SteppedSine(f"e_{b}_{way}", 0.1, frequencies, 1.0, start=start) for b in "AB"]
@@ -119,7 +121,7 @@ def test_command_page_file_and_refusals(sines, tmp_path):
         names.append(tmp_path / f"{i}.h5")
     done = call(
         "seal",
-        "seal-rig",
+        RIG,
         *names,
         "-o",
         tmp_path / "found.toml",
@@ -134,13 +136,13 @@ def test_command_page_file_and_refusals(sines, tmp_path):
     again = amb.load_machine(str(tmp_path / "found.toml"))
     assert truth(again, 2.04 * BAR) == pytest.approx(truth(machine, 2.04 * BAR), rel=0.02)
     assert "Coefficients over frequency" in (tmp_path / "seal.html").read_text()
-    shown = call("seal", "seal-rig", *names, "-o", tmp_path / "again.toml", "--details")
+    shown = call("seal", RIG, *names, "-o", tmp_path / "again.toml", "--details")
     assert (
         shown.exit_code == 0
         and "baseline" in shown.stdout
         and "lines over pressure" in shown.stdout
     )
-    few = call("seal", "seal-rig", names[2], "--form", "line", "-o", tmp_path / "few.toml")
+    few = call("seal", RIG, names[2], "--form", "line", "-o", tmp_path / "few.toml")
     assert few.exit_code == 2 and "at least 3" in few.stderr
     with pytest.raises(InvalidInput, match="leave them out"):
         identify_by_frequency(machine, records, frequencies=[10.0])
@@ -151,16 +153,14 @@ def test_the_coupling_in_one_command(tmp_path):
     plant had them so: 106).
     """
     assert (
-        call(
-            "synthesize", "seal-rig", "--method", "pid", "-o", tmp_path / "pid.json", "--json"
-        ).exit_code
+        call("synthesize", RIG, "--method", "pid", "-o", tmp_path / "pid.json", "--json").exit_code
         == 1  # it loses twice nominal pressure
     )
     common = ("--controller", tmp_path / "pid.json")
     record = tmp_path / "prbs.h5"
     run = call(
         "simulate",
-        "seal-rig",
+        RIG,
         *common,
         "--scenario",
         "prbs",
@@ -177,9 +177,7 @@ def test_the_coupling_in_one_command(tmp_path):
         "--start",
         "coupling.coupling.stiffness.zeta=3e5",
     )
-    done = call(
-        "identify", "seal-rig", record, *common, *unknown, "-o", tmp_path / "found.toml", "--json"
-    )
+    done = call("identify", RIG, record, *common, *unknown, "-o", tmp_path / "found.toml", "--json")
     assert done.exit_code == 0, done.stderr
     found = json.loads(done.stdout)["parameters"]
     for row, want in zip(found, (0.40e6, 0.42e6), strict=True):

@@ -19,6 +19,7 @@ from ambrose.core.statespace import poles, select
 from ambrose.judge.exploration import explore, pole_map
 from ambrose.law.loop import closed_loop, timing_of
 from ambrose.model.static_load import residual_unbalance
+from coarse import coarse, coarse_file
 
 BAR = 1e5
 
@@ -29,7 +30,7 @@ def call(*arguments):
 
 @cache
 def law(name):
-    return amb.design(name, "pid")
+    return amb.design(coarse(name), "pid")
 
 
 @pytest.mark.parametrize("rate", [None, 1e4])
@@ -37,14 +38,12 @@ def test_where_stability_ends_over_pressure(rate):
     """Just below the end the loop is stable, just above it is not: eigenvalues of loops assembled
     here.
     """
-    found = explore(amb.load_machine("seal-rig"), law("seal-rig"), parts=["poles"], rate=rate).maps[
-        0
-    ]
+    found = explore(coarse("seal-rig"), law("seal-rig"), parts=["poles"], rate=rate).maps[0]
     ((end, above),) = found.ends
     assert found.over == "pressure" and not above and 2.04 * BAR < end < 4.08 * BAR
 
     def abscissa(pressure):
-        plant = amb.assemble("seal-rig", seal_pressure=pressure)
+        plant = amb.assemble(coarse("seal-rig"), seal_pressure=pressure)
         if rate is None:
             return poles(closed_loop(plant, law("seal-rig").law)).real.max()
         return (
@@ -65,7 +64,7 @@ def test_sampled_poles_are_shown_as_continuous_ones():
     """
     slow = [
         explore(
-            amb.load_machine("three-bearing-train"),
+            coarse("three-bearing-train"),
             law("three-bearing-train"),
             parts=["poles"],
             rate=r,
@@ -80,7 +79,7 @@ def test_sampled_poles_are_shown_as_continuous_ones():
 
 
 def test_unbalance_over_the_tolerances_holds_the_nominal_and_its_own_members():
-    machine = amb.load_machine("three-bearing-train")
+    machine = coarse("three-bearing-train")
     found = explore(machine, law("three-bearing-train"), parts=["pulses", "unbalance"], bound=True)
     worst, force = found.unbalance, residual_unbalance(machine)
     assert found.pulses.stable.all() and found.stable
@@ -137,7 +136,7 @@ def test_command_and_page(name, tmp_path):
 
 
 def test_refusals_and_what_there_is_not():
-    machine = amb.load_machine("turbomolecular-pump")
+    machine = coarse("turbomolecular-pump")
     quiet = replace(machine, tolerances=())
     found = explore(quiet, law("turbomolecular-pump"), parts=["pulses"])
     assert found.pulses is None and "no tolerances" in " ".join(found.notes)
@@ -151,7 +150,7 @@ def test_refusals_and_what_there_is_not():
 
 def test_what_only_a_continuous_loop_holds_is_not_stable(tmp_path):
     """The turboexpander's PID, of which nobody states a rate: lost at the one that others assume."""
-    name = "turboexpander"
+    name = coarse_file("turboexpander")
     call("synthesize", name, "--method", "pid", "-o", tmp_path / "pid.json")
     words = ["map", name, "--controller", tmp_path / "pid.json", "--what", "poles"]
     done = call(*words)

@@ -26,6 +26,7 @@ from ambrose.record.record import POINT_KEYS
 from ambrose.record.response import Path, Response
 from ambrose.record.response_files import write_response
 from ambrose.synthesis.pid import pid_synthesis
+from coarse import coarse
 from one_axis_loop import levitate
 
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
@@ -46,7 +47,7 @@ def record(kinds="yue", axes=AXES, speed=0.0, change=None, count=20_000):
 @pytest.fixture(scope="module")
 def loop():
     """A record of the seal rig under its PID: the linear loop, excited and with noise."""
-    machine = amb.load_machine("seal-rig")
+    machine = coarse("seal-rig")
     plant = free_mode_reduction(assemble(machine), 2)
     K = match_controller(pid_synthesis(plant).controller, plant)
     K = c2d(K, 1e-4, method="tustin")

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 import ambrose as amb
 from ambrose.cli import main
 from ambrose.record.files import read_record, write_record
+from coarse import coarse_file
 
 BRIEF = """
 name = "brief"
@@ -37,12 +38,12 @@ def call(*arguments):
 )
 def place(request, tmp_path_factory):
     """A machine, a point, and a folder with a PID and a record of the nonlinear rig."""
-    name, point = request.param
+    name, point = coarse_file(request.param[0]), request.param[1]
     folder = tmp_path_factory.mktemp("monitor")
     (folder / "brief.toml").write_text(BRIEF)
     made = call("synthesize", name, "--method", "pid", "-o", folder / "pid.json", "--json")
     # the rig's own PID loses twice nominal pressure, which is told by the status
-    assert made.exit_code == (1 if name == "seal-rig" else 0), made.stderr
+    assert made.exit_code == (1 if request.param[0] == "seal-rig" else 0), made.stderr
     done = call(
         "simulate",
         name,

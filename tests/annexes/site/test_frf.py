@@ -18,6 +18,7 @@ from ambrose.judge.controller_file import read_controller
 from ambrose.record.files import read_record, write_record
 from ambrose.record.response_files import read_response
 from ambrose.report.page import render
+from coarse import coarse_file
 
 CHIRP = """
 name = "sweep"
@@ -37,12 +38,12 @@ def call(*arguments):
 @pytest.fixture(scope="module", params=["seal-rig", "three-bearing-train"])
 def place(request, tmp_path_factory):
     """A machine, a folder with its PID and a sweep of the nonlinear rig, without pressure."""
-    folder, name = tmp_path_factory.mktemp("frf"), request.param
+    folder, name = tmp_path_factory.mktemp("frf"), coarse_file(request.param)
     (folder / "sweep.toml").write_text(CHIRP)
     made = call("synthesize", name, "--method", "pid", "-o", folder / "pid.json", "--json")
     # the rig's own PID loses twice nominal pressure, which is told by the status
-    assert made.exit_code == (1 if name == "seal-rig" else 0), made.stderr
-    point = {"seal-rig": "zero pressure", "three-bearing-train": "rest"}[name]
+    assert made.exit_code == (1 if request.param == "seal-rig" else 0), made.stderr
+    point = {"seal-rig": "zero pressure", "three-bearing-train": "rest"}[request.param]
     done = call(
         "simulate",
         name,

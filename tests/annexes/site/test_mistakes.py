@@ -19,13 +19,14 @@ from ambrose.identification.data_quality.diagnosis import screened
 from ambrose.identification.output_error.problem import deployed_controller
 from ambrose.identification.parameters import plant_at
 from ambrose.rig.scenario import Prbs, Scenario, Unbalance
+from coarse import coarse
 
 SPEED, NOISE = 2 * np.pi * 50, 1e-8
 
 
 @cache
 def machine():
-    found = amb.load_machine("seal-rig")
+    found = coarse("seal-rig")
     runs = replace(found.controller, sample_time=1e-4)
     return replace(found, controller=runs, tolerances=())
 

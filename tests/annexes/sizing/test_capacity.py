@@ -14,6 +14,7 @@ from ambrose.judge.unbalance import capacity_margin
 from ambrose.law.pid import first_settings, pid_controller
 from ambrose.model.effects.stations import Load
 from ambrose.synthesis.methods import Tuned, with_capacity
+from coarse import coarse
 
 
 def loaded(machine, force):
@@ -41,7 +42,7 @@ def test_the_margin_goes_with_the_force_and_with_the_bias():
 
 
 def test_a_size_that_cannot_carry_its_loads_fails_for_them():
-    rig = amb.load_machine("seal-rig-k-only")
+    rig = coarse("seal-rig-k-only")
     point = rig.operation.nominal
     rig = replace(rig, operation=replace(rig.operation, points=(point,), ranges=()))
     rig = replace(rig, operation=replace(rig.operation, design_point=None))
@@ -58,7 +59,7 @@ def test_a_size_that_cannot_carry_its_loads_fails_for_them():
 @pytest.mark.parametrize(("guards", "met"), [({}, False), ({"guard_gain": 1.4}, True)])
 def test_a_guard_of_the_search_is_no_requirement_of_a_size(monkeypatch, guards, met):
     """A size was "not enough", for 1.35 of a gain that its file does not limit."""
-    rig = amb.load_machine("seal-rig-k-only")
+    rig = coarse("seal-rig-k-only")
     point = rig.operation.nominal
     operation = replace(rig.operation, points=(point,), ranges=(), design_point=None)
     rig = replace(rig, operation=operation)

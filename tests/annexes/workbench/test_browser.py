@@ -26,6 +26,7 @@ from playwright.sync_api import Error, sync_playwright
 from ambrose.annexes.workbench import live as viewers
 from ambrose.annexes.workbench.project import Project, begin
 from ambrose.annexes.workbench.screens import TITLES
+from coarse import coarse_text
 from needs import CHROMIUM
 from workbench_served import LIMIT, POLL, Served, eventually
 
@@ -35,6 +36,7 @@ MACHINE = Path(__file__).parents[3] / "benchmarks" / "snapshot_files" / "small-r
 # words of a user's, which no page may take for more
 HOSTILE = "<img src=x onerror=document.title=1></svg><script>document.title=2</script>"
 PICTURES = os.environ.get("AMBROSE_PICTURES")
+MAGNETS = "bearing.*.negative_stiffness.* bearing.*.force_per_current.*"
 FACTS = "document.querySelector('.facts').textContent"
 
 
@@ -213,9 +215,7 @@ def test_a_tour_from_lift_off_to_code(tour, server, folder):
     # what it tells of the machine
     go(page, "identification")
     before = (folder / "machine.toml").read_text()
-    page.locator("[name=unknown]").fill(
-        "bearing.*.negative_stiffness.* bearing.*.force_per_current.*"
-    )
+    page.locator("[name=unknown]").fill(MAGNETS)
     assert "Verdict:" in job(page, "Identify", "identify")
     page.wait_for_selector("iframe")
     page.get_by_role("button", name="Write back").click()
@@ -264,20 +264,26 @@ def test_a_tour_from_lift_off_to_code(tour, server, folder):
     assert [words for words in page.mistakes if "status of 400" not in words] == []
 
 
-def test_the_tour_of_the_page(chromium, tmp_path):
+@pytest.mark.parametrize("demo", ["in short", pytest.param("whole", marks=pytest.mark.study)])
+def test_the_tour_of_the_page(chromium, tmp_path, demo):
     """docs/how-to/workbench.md step by step, with its names of screens and buttons: from lift-off
     to a page that may be signed and code that is downloaded, every verdict good.
     """
     project = Project(tmp_path / "seal-rig-demo")
     begin(project, "seal-rig")
+    if demo == "in short":  # a coarse shaft and no tolerances: the same steps and verdicts
+        first, rest = coarse_text("seal-rig").split("[[tolerance]]")
+        text = first + rest[rest.index("[requirements]") :]
+        project.machine.write_text(text, encoding="utf-8")
     server = Served(project)
     try:
-        _follow(chromium, server, project.root)
+        _follow(chromium, server, project.root, demo == "in short")
     finally:
         server.end()
 
 
-def _follow(chromium, server, folder):
+def _follow(chromium, server, folder, brief):
+    seconds = 2 if brief else 5
     page = new_page(chromium)
     page.goto(server.address())
     page.wait_for_selector("canvas")
@@ -296,10 +302,12 @@ def _follow(chromium, server, folder):
     assert "touches" not in page.evaluate(FACTS)
     choose(page, server, "pace", "fast")  # as the page does not: quicker
     press(page, server, "Excite")
-    record(page, server, 5)
+    record(page, server, seconds)
     go(page, "identification")
     assert page.locator("[name=record]").input_value().startswith("live-pid-")
     assert page.locator("[name=controller]").input_value() == "pid.json"
+    if brief:
+        page.locator("[name=unknown]").fill(MAGNETS)
     assert "Verdict: " in job(page, "Identify", "identify")
     page.get_by_role("button", name="Write back").click()
     until(page, "document.querySelector('#note').textContent.includes('before.toml')")
@@ -321,7 +329,7 @@ def _follow(chromium, server, folder):
     press(page, server, "Switch")
     runs_until(page, server, f"{FACTS}.includes('tuned.json') && {FACTS}.includes('excited')")
     assert "touches" not in page.evaluate(FACTS)
-    record(page, server, 5)
+    record(page, server, seconds)
     press(page, server, "Stop exciting")
     go(page, "envelope")
     assert "PASSED: " in job(page, "Verify", "verify")

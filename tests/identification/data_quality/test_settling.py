@@ -6,17 +6,17 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ambrose import load_machine
 from ambrose.identification.data_quality.signals import left_out, settled, signal_findings
 from ambrose.identification.findings import Code
 from ambrose.record.record import Record
+from coarse import coarse
 
 RATE = 5000.0
 
 
 @cache
 def machine():
-    return load_machine("seal-rig")
+    return coarse("seal-rig")
 
 
 def record(seconds=4.0, motion=None, excitation=None, seed=0, more=None):

@@ -11,7 +11,6 @@ import pytest
 import scipy.signal
 from benchmarks import waveforms
 
-from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import FrequencyResponse, frequency_response
 from ambrose.core.response import simulate
@@ -25,6 +24,7 @@ from ambrose.model.assemble import assemble
 from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.record.record import Record
 from ambrose.synthesis.pid import pid_synthesis
+from coarse import coarse
 
 HZ = 2 * np.pi
 DT = 1e-3
@@ -226,7 +226,7 @@ def test_two_inputs_from_two_records_or_from_two_sequences_in_one():
 
 @cache
 def rig_loop():
-    machine = load_machine("seal-rig")
+    machine = coarse("seal-rig")
     plant = free_mode_reduction(assemble(machine, OperatingPoint(seal_pressure=1e5)), 1)
     law = c2d(pid_synthesis(plant).controller, 1e-4, "tustin", delay=1e-4)
     return plant, closed_loop(plant, law)

@@ -8,7 +8,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.core.frequency import frequency_response
 from ambrose.core.realisation import coprime_factors, injection_gain, observer_controller
@@ -30,6 +29,7 @@ from ambrose.record.record import Record
 from ambrose.rig import virtual_rig
 from ambrose.rig.scenario import Prbs, Scenario
 from ambrose.synthesis.pid import pid_synthesis
+from coarse import coarse
 from whole_records import simulate_derivative
 
 DT = 1e-4
@@ -40,7 +40,7 @@ Y, U, E, D = ([f"{kind}_{axis}" for axis in AXES] for kind in "yued")
 
 @cache
 def machine():
-    return load_machine("turboexpander")
+    return coarse("turboexpander")
 
 
 @cache
@@ -272,7 +272,7 @@ def test_nonlinear_rig_under_its_weight():
     """The machine file's coefficients are those under the weight: they are found, not those of a
     magnet without load.
     """
-    rig = load_machine("seal-rig")
+    rig = coarse("seal-rig")
     rig = replace(rig, sensors=tuple(replace(sensor, noise=1e-7) for sensor in rig.sensors))
     model = free_mode_reduction(assemble(rig), 1)
     law = pid_synthesis(model).controller

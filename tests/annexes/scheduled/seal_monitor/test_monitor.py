@@ -8,7 +8,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-import ambrose as amb
 from ambrose.annexes.scheduled.seal_monitor import seal_model, students_t
 from ambrose.annexes.scheduled.seal_watch import NOTCH, SealMonitor, measuring_filter, monitor
 from ambrose.core.checks import InvalidInput
@@ -22,6 +21,7 @@ from ambrose.model.assemble import assemble
 from ambrose.model.uncertainty import free_mode_reduction, perturbed
 from ambrose.record.record import Record
 from ambrose.synthesis.pid import pid_synthesis
+from coarse import coarse
 
 DT, LENGTH = 1e-4, 16_000
 PATH = "seal.center.pressure"
@@ -29,7 +29,7 @@ PATH = "seal.center.pressure"
 
 @cache
 def setting():
-    machine = amb.load_machine("seal-rig")
+    machine = coarse("seal-rig")
     return machine, pid_synthesis(free_mode_reduction(assemble(machine), 3)).controller
 
 

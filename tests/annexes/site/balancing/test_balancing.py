@@ -18,6 +18,7 @@ from ambrose.model.effects import sensor
 from ambrose.model.static_load import stated_at_load
 from ambrose.record.record import Record
 from ambrose.rig.scenario import Scenario, Sine, Unbalance
+from coarse import coarse
 
 TOP, SLOW = 2 * np.pi * 150, 2 * np.pi * 20
 PLANES = {"impeller": 0.05, "free-end": 0.05}
@@ -27,7 +28,7 @@ RUNOUT = Runout(1, 3e-6, 0.7)
 
 @cache
 def machine():
-    found = replace(amb.load_machine("overhung-blower"), tolerances=())
+    found = replace(coarse("overhung-blower"), tolerances=())
     return replace(found, sensors=tuple(replace(item, runout=(RUNOUT,)) for item in found.sensors))
 
 
