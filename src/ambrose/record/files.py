@@ -94,8 +94,8 @@ def read_csv(path: Path) -> Record:
             raise
         except UnicodeDecodeError as error:
             raise InvalidInput(
-                "it is not a CSV file of this package (it is not in UTF-8); save it as CSV in UTF-8, "
-                "or give the column map of a foreign log (--columns)"
+                "it is not a CSV file of this package (it is not in UTF-8); save it as CSV in "
+                "UTF-8, or give the column map of a foreign log (--columns)"
             ) from error
         except ValueError as error:
             raise InvalidInput(
