@@ -300,8 +300,8 @@ class AsItRuns(Options):
     )
     delay_samples: int | None = option(
         None,
-        "From measured errors to currents set; default: the controller's, the machine file's, or "
-        "1.",
+        "Loop delay, from measured errors to currents set; default: the controller's, the "
+        "machine file's, or 1.",
         check=count("1 is usual", "the computing delay"),
     )
 

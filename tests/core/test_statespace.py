@@ -380,7 +380,7 @@ class TestConnect:
             (["a"], ["y"], {}, "'b'"),
             (["a", "b"], ["z"], {}, "'z' is neither a system's output"),
             (["a", "b", "y"], ["y"], {}, "external inputs"),
-            (["a", "b"], ["y"], {"typo": ["a"]}, "'typo' leads nowhere"),
+            (["a", "b"], ["y"], {"typo": ["a"]}, "'typo' is not used"),
             (["a"], ["y"], {"b": ["p"], "p": ["q"], "q": ["-p"]}, "need each other"),
             (["a"], ["y"], {"b": ["nobody"]}, "'nobody' \\(wanted by 'b'\\)"),
             (["a"], ["y"], {"b": ["b"]}, "need each other"),

@@ -388,7 +388,7 @@ def refused(path, columns, message):
         ("Z", "there is no variable 'Z' in the file; it has Y, text, z, cube, log"),
         ("text", "text has no numbers|text is not an array"),
         ("z", "z has complex numbers"),
-        ("cube", "cube holds a block of numbers"),
+        ("cube", "cube has a block of numbers"),
         ("log", "log has no numbers|log is not an array"),
         ("log.b", "there is no variable 'log.b' in the file; it has log.a"),
         ("Y.b", "there is no variable 'Y.b'"),

@@ -104,9 +104,11 @@ _SHAFT = ("length", "diameter", "speed")
 
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option("--length", help='Of the shaft, such as "600 mm".')
-@click.option("--diameter", help='Of the shaft, such as "40 mm".')
-@click.option("--speed", help='The highest, such as "12000 rpm"; 0 for a rotor that does not turn.')
+@click.option("--length", help='Length of the shaft, such as "600 mm".')
+@click.option("--diameter", help='Diameter of the shaft, such as "40 mm".')
+@click.option(
+    "--speed", help='Maximum speed, such as "12000 rpm"; 0 for a rotor that does not turn.'
+)
 @click.option(
     "--disc",
     "discs",
@@ -128,20 +130,22 @@ _SHAFT = ("length", "diameter", "speed")
     help='Force that a bearing must reach, such as "400 N"; default: three times its share of the '
     "weight.",
 )
-@click.option("--gap", help="Radial gap of the magnets; default: by the shaft's diameter.")
-@click.option("--bias-current", help='Of the magnets, such as "3 A"; default: by their force.')
+@click.option("--gap", help="Radial gap of the magnets; default: from the shaft's diameter.")
+@click.option(
+    "--bias-current", help='Bias current of the magnets, such as "3 A"; default: from their force.'
+)
 @click.option(
     "--force-per-current",
-    help='k_i, such as "180 N/A"; default: by the geometry of a magnet of that force.',
+    help='k_i, such as "180 N/A"; default: from the geometry of a magnet with that force.',
 )
-@click.option("--negative-stiffness", help='k_s, such as "0.7 N/um"; default: by the geometry.')
+@click.option("--negative-stiffness", help='k_s, such as "0.7 N/um"; default: from the geometry.')
 @click.option(
     "--rate-hz",
     type=float,
     help="Sample rate of the controller; default: 10000, or more for fast rotors.",
 )
-@click.option("--name", help="What the machine is called; default: the file's name.")
-@click.option("--force", is_flag=True, help="Replace a file that exists.")
+@click.option("--name", help="Name of the machine; default: the file's name.")
+@click.option("--force", is_flag=True, help="Replace an existing file.")
 @AS_JSON
 def new(file: Path, force: bool, as_json: bool, **answers: Any) -> None:
     """Write a machine file to start from. Values that are not given are asked for on a terminal,
@@ -290,43 +294,46 @@ METHODS = ("tustin", "zoh", "backward-euler", "matched")
 @click.command()
 @click.argument("source", type=click.Path(path_type=Path))
 @click.option(
-    "--machine", help="The machine that it is for: axes, signs and units are tried on its loop."
+    "--machine", help="Machine of the controller: axes, signs and units are checked on its loop."
 )
 @click.option(
     "--axes",
-    help='Names of its channels in their order, such as "A_zeta,A_eta"; default: its own, else '
+    help='Names of the channels in order, such as "A_zeta,A_eta"; default: the file\'s, else '
     "the machine's.",
 )
 @click.option(
     "--input",
     "given",
     type=click.Choice(["error", "displacement"]),
-    help="What it takes: the error r - y (default), or the displacement y, whose sign is then "
-    "turned.",
+    help="Controller input: the error r - y (default), or the displacement y (its sign is then "
+    "changed).",
 )
 @click.option(
     "--input-unit", help="Unit of the controller's input, such as um; default: the file's, else m."
 )
 @click.option(
-    "--output-unit", help="Unit of its currents, such as mA; default: the file's, else A."
+    "--output-unit", help="Unit of the output currents, such as mA; default: the file's, else A."
 )
 @click.option(
     "--rate-hz",
     type=float,
-    help="Rate of coefficients of z, where the file has none; with --sampling the new rate.",
+    help="Sample rate of coefficients of z if the file has none; with --sampling the new rate.",
 )
 @click.option(
-    "--delay-samples", type=int, help="From measured errors to currents set; default: the file's."
+    "--delay-samples",
+    type=int,
+    help="Loop delay, from measured errors to currents set; default: the file's.",
 )
 @click.option(
     "--sampling",
     type=click.Choice(METHODS),
-    help="Sample a continuous controller so, at --rate-hz.",
+    help="Method to sample a continuous controller at --rate-hz.",
 )
 @click.option(
     "--prewarp-hz",
     type=float,
-    help="Tustin exact at this frequency; of matched: where the gain is that of before.",
+    help="tustin: exact at this frequency; matched: same gain as the continuous controller at "
+    "this frequency.",
 )
 @click.option(
     "-o",

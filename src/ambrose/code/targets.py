@@ -65,7 +65,8 @@ class Target(AsItRuns, ABC):
     )
     prewarp: float | None = option(
         None,
-        "Tustin exact at this frequency; of matched: where the gain is that of before.",
+        "tustin: exact at this frequency; matched: same gain as the continuous controller at "
+        "this frequency.",
         flag="--prewarp-hz",
         convert=hertz,
         check=positive("leave it out, or give a frequency below half the rate"),

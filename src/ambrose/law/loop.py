@@ -456,7 +456,7 @@ def timing_in_words(text: str) -> str:
     return _WRITTEN.sub(plain, text)
 
 
-DEFAULT = Timing(1e-4, 1, "assumed: nothing says it")  # where a rate is needed and nobody knows one
+DEFAULT = Timing(1e-4, 1, "assumed: not stated")  # where a rate is needed and nobody knows one
 STATE_RATE = "state the rate that it runs at, sample_time in [controller] or --rate-hz"
 
 

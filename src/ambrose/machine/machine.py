@@ -120,7 +120,7 @@ class Machine(MachineDescription):
                 "operating points",
                 "; ".join(point_in_words(point) for point in self.operation.envelope),
             ),
-            ("tolerances", "; ".join(_tolerance_in_words(item) for item in self.tolerances)),
+            ("tolerances", "; ".join(tolerance_in_words(item) for item in self.tolerances)),
         ]
         return html_table([row for row in rows if row[1]], f"Machine {self.name}")
 
@@ -203,7 +203,8 @@ def point_in_words(point: OperatingPoint) -> str:
     )
 
 
-def _tolerance_in_words(tolerance: Tolerance) -> str:
+def tolerance_in_words(tolerance: Tolerance) -> str:
+    """ "seal.center.k ± 40 %", or with the absolute half-width [SI]."""
     if tolerance.relative is not None:
         return f"{tolerance.parameter} ± {100 * tolerance.relative:.4g} %"
     return f"{tolerance.parameter} ± {tolerance.absolute:.4g}"

@@ -18,7 +18,7 @@ from ambrose.judge.checks import Checks, Curve, Verification
 from ambrose.judge.loop_response import ALL_AXES
 from ambrose.law.loop import timing_in_words
 from ambrose.machine.file.toml import machine_hash
-from ambrose.machine.machine import Machine
+from ambrose.machine.machine import Machine, tolerance_in_words
 from ambrose.model.static_load import LEAST_AMPLIFICATION
 from ambrose.report import comparison_tables, tables, theme
 from ambrose.report.comparison_tables import NOT_EVALUATED, decision, envelope_section, quoted
@@ -457,7 +457,7 @@ def comparison_page(
     """
     points = points_of(machine, candidates)
     opening, outcome = envelope_section(machine, candidates, points), decision(candidates)
-    facts = (*_identity(candidates), *facts, tables.unstated(machine))
+    facts = (*_identity(machine, candidates), *facts, tables.unstated(machine))
     if len(candidates) == 1:
         only = candidates[0]
         report = verification_page(
@@ -496,16 +496,30 @@ def comparison_page(
     return Page(title, machine, tuple(sections), (), facts, date, result=outcome, opening=opening)
 
 
-def _identity(candidates: Sequence[Candidate]) -> tuple[tuple[str, str], ...]:
-    """Every controller with the first digits of its hash, and which loop was checked."""
+_FEW = 3  # tolerances that the head of the page names
+
+
+def _identity(machine: Machine, candidates: Sequence[Candidate]) -> tuple[tuple[str, str], ...]:
+    """Every controller with its states and the first digits of its hash, which loop was checked,
+    and the first tolerances.
+    """
     names: dict[str, list[str]] = {}
     for c in candidates:
         names.setdefault(timing_in_words(c.timing), []).append(quoted(c.name))
     loops = (
         f"{', '.join(own)}: {timing}" if len(names) > 1 else timing for timing, own in names.items()
     )
-    digests = (f"{quoted(c.name)} {c.synthesis.digest[:12]}" for c in candidates)
-    return ("Controllers, SHA-256", ", ".join(digests)), ("Loop", "; ".join(loops))
+    digests = (
+        f"{quoted(c.name)} ({c.synthesis.controller.n_states}) {c.synthesis.digest[:12]}"
+        for c in candidates
+    )
+    widths = [tolerance_in_words(item) for item in machine.tolerances]
+    more = f" and {len(widths) - _FEW} more" if len(widths) > _FEW else ""
+    return (
+        ("Controllers (states), SHA-256", ", ".join(digests)),
+        ("Loop", "; ".join(loops)),
+        ("Tolerances", ", ".join(widths[:_FEW]) + more),
+    )
 
 
 def _with_boxes(page: Page, machine: Machine, candidate: Candidate) -> Page:

@@ -218,7 +218,7 @@ def test_the_command_writes_the_page_to_sign(tmp_path):
     assert all(
         words in page
         for words in (
-            "at least one operating point" if printed.exit_code else "every operating point",
+            "PASSED: 1 operating point, sampled 10 kHz loop.",
             "Open loop",
             "Closed loop",
             "Prepared",

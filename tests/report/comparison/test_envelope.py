@@ -425,7 +425,7 @@ def test_the_page_of_seven_controllers_begins_with_the_decision_and_ends_with_th
             "<h1>",
             "tuned meets every requirement",
             "Share of the limit",
-            "Controllers, SHA-256",
+            "Controllers (states), SHA-256",
             "At a glance",
         )
     ]

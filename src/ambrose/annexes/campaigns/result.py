@@ -439,10 +439,11 @@ def campaign_page(
     )
     verdicts = [Verdict(name.capitalize(), passed, text) for name, passed, text in counts(campaign)]
     bad = [verdict.text for verdict in verdicts if verdict.passed is False]
-    words = (
-        f"{'; '.join(bad)}"
-        if bad
-        else f"nothing failed in {len(campaign.keys) - campaign.missing} cases"
+    words = f"Nothing failed in {len(campaign.keys) - campaign.missing} cases."
+    if bad:
+        words = f"{'. '.join(bad)}."
+    words += "".join(
+        f" Worst case: {text}." for name, _, text in counts(campaign) if name == "worst"
     )
     result = Verdict("Result", not bad, words)
     return Page("Campaign", machine, tuple(sections), tuple(verdicts), facts, date, result=result)

@@ -73,7 +73,7 @@ from ambrose.terminal import (
     type=int,
     default=3,
     show_default=True,
-    help="Multiples of the speed that are taken out.",
+    help="Harmonics of the speed to remove.",
 )
 @click.option(
     "--delay-samples",

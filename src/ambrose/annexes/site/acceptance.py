@@ -118,7 +118,7 @@ def judged_reach(
     hide what is asked for.
     """
     parts = np.array([share(omega, column) for column in told.T])
-    title = "Part of the band in which the lines tell something, least of all axes"
+    title = "Share of the band with usable lines, worst axis"
     wanted = Demand(_ENOUGH, ">=", "")
     if told.all():
         return judge("sensitivity.told", title, 1.0, "-", wanted, "every line")
@@ -681,7 +681,7 @@ def _measure(
     spacing = float(np.diff(omega).min()) / TWO_PI
     notes = (
         f"{len(omega)} lines, {spacing:.3g} Hz apart, each with {M.freedom:.0f} degrees of "
-        "freedom. Limits judge the outer end of the 95 % interval, of an axis zones too.",
+        "freedom. Limits, and the zones of an axis, apply to the outer end of the 95 % interval.",
     )
     loop = MeasuredLoop(
         point,
@@ -839,7 +839,7 @@ def _resolution(
     span = sum(record.values.shape[1] * record.dt for record in records)
     band = band_width(a, len(records), span)
     seen = [item for item in resonances if omega[0] < item.frequency < omega[-1]]
-    title = "Band fitted about a line, over the width of the sharpest predicted resonance"
+    title = "Bandwidth fitted at a line over the width of the sharpest predicted resonance"
     wanted = Demand(1.0, "<=", "")
     if not seen:
         return judge("sensitivity.resolution", title, 0.0, "-", wanted, "none is sharp")
@@ -943,7 +943,7 @@ def _checks(
     found.append(
         judge(
             "sensitivity.agreement",
-            "Distance from the prediction over its doubt, any axis",
+            "Difference from the prediction over its 95 % uncertainty, worst axis",
             float((off / doubt).max()),
             "-",
             Demand(1.0, "<=", ""),

@@ -43,7 +43,7 @@ from ambrose.terminal import (
     type=int,
     default=3,
     show_default=True,
-    help="Multiples of the speed that are taken out.",
+    help="Harmonics of the speed to remove.",
 )
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="The page to sign (*.html).")
 @ALL
@@ -63,7 +63,8 @@ def accept(
 
     RECORDS contain the displacements y_<axis> and excitations e_<axis> (or references r_<axis>) on
     every axis, at standstill or running, at one operating point or several; CONTROLLER is the file
-    of the one that ran, and with u_<axis> it is checked. Limits and zones (ISO 14839-3) apply to
+    of the controller that ran; with u_<axis> this is checked. Limits and zones (ISO 14839-3) apply
+    to
     the outer end of the 95 % intervals. Exit status 1: measured, but a check failed.
     """
     from ambrose.annexes.site.acceptance import accept as accepted
@@ -504,7 +505,7 @@ METHODS = ("sines", "periods", "polynomials")
     type=int,
     default=3,
     show_default=True,
-    help="Multiples of the speed that are taken out.",
+    help="Harmonics of the speed to remove.",
 )
 @click.option(
     "--settle",

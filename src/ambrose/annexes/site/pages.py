@@ -65,6 +65,9 @@ _OPEN = (
 _WIDTHS = (20, 40, 40)  # [%] of the columns of the table of what was measured
 
 
+_MEASURED = "Measured. Limits apply to the outer end of the 95 % interval."
+
+
 def acceptance_page(accepted: Acceptance, *, date: str = "") -> Page:
     """The page of an acceptance; date: ISO (today if empty)."""
     limit = accepted.machine.requirements.sensitivity_peak
@@ -81,7 +84,9 @@ def acceptance_page(accepted: Acceptance, *, date: str = "") -> Page:
             tuple(tables.checks_table(loop.checks) for loop in accepted.points),
         )
     )
-    verdicts = [tables.verdict(loop.checks) for loop in accepted.points]
+    loops = Verification(
+        tuple(loop.checks for loop in accepted.points), timing=str(accepted.timing)
+    )
     digest = law_of(accepted.controller).digest
     rows = (
         ("Machine file", accepted.machine.name, Cell("", detail=machine_hash(accepted.machine))),
@@ -91,13 +96,17 @@ def acceptance_page(accepted: Acceptance, *, date: str = "") -> Page:
     sections.append(
         Section("What was measured", "", (), (Table("", ("", "What", "Hash"), rows, "", _WIDTHS),))
     )
+    table = tables.deciding_table(loops)
+    decides = replace(table, note=f"{_MEASURED} {table.note}".strip())
     return Page(
         "Acceptance of the magnetic bearing loop",
         accepted.machine,
         tuple(sections),
-        tuple(verdicts),
+        (),
         (),
         date,
+        result=Verdict("Result", accepted.passed, tables.deciding_verdict(loops)),
+        opening=Section("", tables=(decides,)),
     )
 
 

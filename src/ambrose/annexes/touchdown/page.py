@@ -8,6 +8,7 @@ import numpy as np
 
 from ambrose.annexes.touchdown.analysis import HEADS, WHIP_MODEL, Landing, WhipMap
 from ambrose.annexes.touchdown.campaign import FRICTION, MOUNT, SPEED, WHIRLS, AxialDrop, Campaign
+from ambrose.annexes.touchdown.campaign import Row as Cost
 from ambrose.report import theme
 from ambrose.report.figures.motion import add_controls
 from ambrose.report.figures.rotor_drawing import machine_drawing
@@ -476,11 +477,21 @@ def verdict_text(result: Landing) -> str:
     over = "one drop" if result.campaign is None else f"{result.campaign.count:,} drops"
     if not judged:
         return f"no limits in [bearing.touchdown.limits]; {over} for information"
+    worst = max(failed or judged, key=_share)
+    decides = f"{worst.title} {_valued(worst.value, worst.unit)}, {worst.place}"
+    decides += f" (limit {_valued(worst.limit or 0.0, worst.unit)})"
     if not failed:
-        return f"all {len(judged)} limits are met over {over}"
-    names = "; ".join(f"{row.title} ({row.place})" for row in failed)
+        return f"all {len(judged)} limits are met over {over}; nearest: {decides}"
     verb = "is" if len(failed) == 1 else "are"
-    return f"{len(failed)} of {len(judged)} limits {verb} not met over {over}: {names}"
+    words = f"{len(failed)} of {len(judged)} limits {verb} not met over {over}"
+    return f"{words}; {'furthest beyond its limit: ' if len(failed) > 1 else ''}{decides}"
+
+
+def _share(row: Cost) -> float:
+    """The value over its limit, or the limit over the value where that is a lower one."""
+    value, limit = abs(row.value), abs(row.limit or 0.0)
+    over, under = (value, limit) if row.relation == "<=" else (limit, value)
+    return over / under if under else np.inf
 
 
 def cost_rows(result: Landing) -> tuple[tuple[str, str, str, str, str], ...]:
