@@ -382,7 +382,7 @@ def verify_controller(
             for plant in within
             if (words := beyond_top_speed(plant.machine, plant.point.speed))
         ),
-        between=_between(within, checks),
+        between=_between(law, within, checks),
     )
 
 
@@ -448,11 +448,11 @@ def _unstable_when_sampled(plant: Plant, law: Law, timing: Timing | None) -> tup
     )
 
 
-def _between(plants: Sequence[Plant], points: Sequence[Checks]) -> str:
+def _between(law: Law, plants: Sequence[Plant], points: Sequence[Checks]) -> str:
     """What was checked between the speeds of the points, in words; "" where all have one speed."""
     if any(check.name == "stability.speeds" for part in points for check in part.checks):
-        low, high = (30 / np.pi * end for end in plants[0].machine.operation.running)
-        return f"all speeds from {low:,.6g} to {high:,.6g} rpm"
+        low, high = (30 / np.pi * end for end in _speeds_covered(law, plants[0]))
+        return f"speeds from {low:,.6g} to {high:,.6g} rpm (searched)"
     several = len({plant.point.speed for plant in plants}) > 1
     return "nothing between their speeds (state speed_range)" if several else ""
 
