@@ -30,12 +30,14 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+import scipy.linalg as sla
 
 from ambrose.core.checks import (
     InvalidInput,
     check_finite,
     check_shape,
     invalid,
+    memberwise,
     named_failure,
     names_wrong_types,
 )
@@ -56,6 +58,8 @@ from ambrose.core.statespace import (
 _PER_DECADE = 9  # points of a grid
 # a design's grid reaches this factor beyond the slowest and fastest pole of the plant
 _MARGIN = 10.0
+_SAME = 1e-12  # of a column, to which it must be made of others
+_SMALL = 1e-5  # a pivot, over the other entries of its column, that spoils digits
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,6 +284,78 @@ def upper_lft(
     feed = gain @ np.linalg.inv(np.eye(n_z) - inner)
     by_state, by_input = feed @ C1, feed @ D12
     return system.A + B1 @ by_state, B2 + B1 @ by_input, C2 + D21 @ by_state, D22 + D21 @ by_input
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ports:
+    """The channels that all of w (n) and z (n) are made of, by number: inputs (r,) and outputs
+    (q,), with into (r, n) and out_of (n, q).
+
+    M11 = out_of M11[outputs, inputs] into at every frequency: parameters that act at one place, or
+    on one signal, share channels.
+    """
+
+    inputs: np.ndarray
+    into: np.ndarray
+    outputs: np.ndarray
+    out_of: np.ndarray
+
+    def gain(self, wide: np.ndarray) -> np.ndarray:
+        """What stands for diag(wide) (..., n) between the channels, (..., r, q)."""
+        return np.asarray((self.into * wide[..., None, :]) @ self.out_of)
+
+    def eigenvalues(self, M11: np.ndarray, wide: np.ndarray) -> np.ndarray:
+        """Those of M11 diag(wide) (..., r) but for n - r zeros, M11 (..., n, n), wide (..., n)."""
+        return np.linalg.eigvals(self.gain(wide) @ M11[..., self.outputs[:, None], self.inputs])
+
+
+def ports(system: StateSpace, n: int) -> Ports:
+    """Of the leading n inputs and outputs."""
+    inputs, into = _spanning(np.vstack([system.B[:, :n], system.D[:, :n]]))
+    outputs, out_of = _spanning(np.hstack([system.C[:n], system.D[:n]]).T)
+    return Ports(inputs, into, outputs, out_of.T)
+
+
+def _spanning(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Those of the columns (k, n), by number (r,), that the others are made of, and E (r, n):
+    columns[:, numbers] E = columns.
+    """
+    size = np.linalg.norm(columns, axis=0)
+    size[size == 0] = 1.0
+
+    # columns / size = Q R P^T; those beyond the rank are R11^-1 R12 of the first ones
+    R, order = sla.qr(columns / size, mode="r", pivoting=True)
+    rank = max(int((np.abs(np.diag(R)) > _SAME).sum()), 1)
+    E = np.zeros((rank, columns.shape[1]))
+    E[:, order] = np.linalg.lstsq(R[:rank, :rank], R[:rank], rcond=None)[0]
+    return order[:rank], E * size / size[order[:rank], None]
+
+
+def upper_lft_responses(M: np.ndarray, gain: np.ndarray) -> np.ndarray:
+    """M22 + M21 gain (I - M11 gain)^-1 M12, (d, p, m, k), of responses M (z + p, w + m, k) at k
+    frequencies and gains (d, w, z); not finite at a pole.
+
+    For few channels w: what is solved is of their number. All points go side by side.
+    """
+    d, r, z = gain.shape
+    W = (gain.reshape(d * r, z) @ M[:z].reshape(z, -1)).reshape(d, r, *M.shape[1:])
+    X, Y = np.eye(r)[:, :, None] - W[:, :, :r], W[:, :, r:]
+
+    # v = gain z: (I - gain M11) v = gain M12 u, by elimination; a factor beyond 1 / _SMALL spoils
+    # digits, and its points are solved with pivoting
+    W = np.concatenate([X, Y], axis=2)
+    spoilt = np.zeros((d, M.shape[2]), bool)
+    with np.errstate(all="ignore"):
+        for i in range(r):
+            spoilt |= ~(np.abs(W[:, i, i]) > _SMALL * np.abs(W[:, :, i]).max(axis=1))
+            W[:, i] /= W[:, i, None, i].copy()
+            for j in np.flatnonzero(np.arange(r) != i):
+                W[:, j] -= W[:, j, None, i].copy() * W[:, i]
+    v, at = W[:, :, r:], np.nonzero(spoilt)
+    v[at[0], :, :, at[1]] = memberwise(
+        np.linalg.solve, X[at[0], :, :, at[1]], Y[at[0], :, :, at[1]]
+    )
+    return M[z:, r:] + sum(M[z:, i, None] * v[:, None, i] for i in range(r))
 
 
 def design_grid(plant: GeneralizedPlant) -> np.ndarray:

@@ -19,11 +19,10 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-import scipy.linalg as sla
 
-from ambrose.core.checks import UnstableSystem, check_shape, invalid, memberwise, named_failure
+from ambrose.core.checks import UnstableSystem, check_shape, invalid, named_failure
 from ambrose.core.frequency import largest_gain
-from ambrose.core.lft import Block, RealBlock, upper_lft
+from ambrose.core.lft import Block, Ports, RealBlock, ports, upper_lft, upper_lft_responses
 from ambrose.core.mu.all_frequencies import Chords, chords
 from ambrose.core.mu.structure import osborne, structure_of
 from ambrose.core.statespace import StateSpace, as_statespace, is_stable, spectral_abscissa
@@ -40,7 +39,7 @@ from ambrose.core.statespace import StateSpace, as_statespace, is_stable, spectr
 # worst that can happen in the box.
 
 
-_CHUNK = 400_000  # matrices worked on at once
+_CHUNK = 4_000  # matrices worked on at once, which a processor keeps near
 # determinants held at once: points that share values are closed together while they fit
 _VALUES = 2_000_000
 _STEP = 0.8  # rad, largest turn of the determinant between two grid points that is trusted
@@ -61,7 +60,7 @@ class BoxLoop:
     parameter each.
 
     owner (n,): the parameter that channel belongs to; model: for evaluation and proof; poles (s,)
-    of the loop with delta = 0.
+    of the loop with delta = 0; ports: the channels that all are made of.
     """
 
     system: StateSpace
@@ -69,6 +68,7 @@ class BoxLoop:
     owner: np.ndarray
     model: Chords
     poles: np.ndarray
+    ports: Ports
 
     @property
     def parameters(self) -> int:
@@ -115,7 +115,7 @@ def box_loop(system: Any, blocks: Sequence[Block], model: Chords | None = None) 
             "robustness is a question about a stable loop: change the controller first"
         )
     model = chords(system) if model is None else model
-    return BoxLoop(system, real, owner, model, model.every_pole)
+    return BoxLoop(system, real, owner, model, model.every_pole, ports(system, len(owner)))
 
 
 def default_grid(loop: BoxLoop, per_decade: int = 60) -> np.ndarray:
@@ -160,9 +160,7 @@ def gains(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
     ``loop.at``, delta (d, k).
     """
     # a part of the frequencies at a time: what is held stays in memory that was asked for before
-    n = len(loop.owner)
-    size = max(1, len(delta) * (M.shape[1] - n) * (M.shape[2] - n))
-    step = max(1, _CHUNK // size)
+    step = max(1, _CHUNK // max(1, len(delta)))
     parts = [
         _largest(transfers(M[start : start + step], loop, delta))
         for start in range(0, max(1, len(M)), step)
@@ -177,13 +175,13 @@ def _largest(T: np.ndarray) -> np.ndarray:
 
 
 def transfers(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
-    """T(delta) (d, w, p, m)."""
-    step = max(1, _CHUNK // max(1, len(M)))
-    parts = [
-        transfers_at(M, loop.owner, delta[start : start + step])
-        for start in range(0, max(1, len(delta)), step)
-    ]
-    return np.concatenate(parts)
+    """T(delta) (d, w, p, m); not finite on a pole."""
+    few, (n, (_, rows, columns)) = loop.ports, (len(loop.owner), M.shape)
+    row, column = np.r_[few.outputs, n:rows], np.r_[few.inputs, n:columns]
+    T = upper_lft_responses(
+        M[:, row[:, None], column].transpose(1, 2, 0), few.gain(delta[:, loop.owner])
+    )
+    return T.transpose(0, 3, 1, 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -267,8 +265,7 @@ def count_unstable(loop: BoxLoop, delta: np.ndarray, start: Sweep) -> tuple[np.n
         _restless(used.omega, h, rate).any(axis=1) | (np.abs(-turns - count) > 0.1) | (count < 0)
     )
     for i in np.flatnonzero(unclear):
-        closed = upper_lft(loop.system, np.diag(delta[i, loop.owner]))[0]
-        count[i] = (np.linalg.eigvals(closed).real >= 0).sum()
+        count[i] = (np.linalg.eigvals(perturbed_matrix(loop, delta[i])).real >= 0).sum()
     return count.astype(int), start
 
 
@@ -310,8 +307,12 @@ def _determinants(part: Sweep, loop: BoxLoop, delta: np.ndarray) -> tuple[np.nda
     return h, rate
 
 
-# Many points of a box of real parameters at once: the determinant and the closed loop at each, over
-# frequency.
+def perturbed_matrix(loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
+    """The state matrix of the loop at delta (k,)."""
+    return upper_lft(loop.system, np.diag(delta[loop.owner]))[0]
+
+
+# Many points of a box of real parameters at once: the determinant at each, over frequency.
 #
 # The parameters are closed one after another, M' = M22 + M21 delta (I - M11 delta)^-1 M12, and
 # det(I - M11 diag(delta)) is the product of the pivots' determinants. Points that share the values
@@ -347,32 +348,12 @@ def determinants_at(M11: np.ndarray, owner: np.ndarray, delta: np.ndarray) -> np
     """
     branching = _branching(owner, delta)
     if branching is not None:
-        return _closed(M11, owner, delta, branching)[0]
+        return _closed(M11, owner, delta, branching)
+    step = max(1, _HELD // M11.size)
+    parts = range(0, max(1, len(delta)), step)
     return np.concatenate(
-        [_all_determinants(M11[None], part[:, None, owner]) for part in _parts(delta, M11.size)]
+        [_all_determinants(M11[None], delta[i : i + step, None, owner]) for i in parts]
     )
-
-
-def transfers_at(M: np.ndarray, owner: np.ndarray, delta: np.ndarray) -> np.ndarray:
-    """T = M22 + M21 diag(delta) (I - M11 diag(delta))^-1 M12, (d, w, p, m), for M (w, n + p, n +
-    m); the others as above.
-
-    NaN where I - M11 diag(delta) is singular: a pole.
-    """
-    branching = _branching(owner, delta)
-    if branching is not None:
-        return _closed(M, owner, delta, branching)[1]
-    return np.concatenate(
-        [_transfers(M[None], part[:, None, owner]) for part in _parts(delta, M.size)]
-    )
-
-
-def _parts(delta: np.ndarray, size: int) -> list[np.ndarray]:
-    """delta (d, k) in parts, whose matrices with ``size`` entries each stay within a few
-    megabytes.
-    """
-    step = max(1, _HELD // size)
-    return [delta[i : i + step] for i in range(0, max(1, len(delta)), step)]
 
 
 def _branching(owner: np.ndarray, delta: np.ndarray) -> _Branching | None:
@@ -402,49 +383,32 @@ def _branching(owner: np.ndarray, delta: np.ndarray) -> _Branching | None:
 
 
 def _closed(
-    M: np.ndarray, owner: np.ndarray, delta: np.ndarray, branching: _Branching
-) -> tuple[np.ndarray, np.ndarray]:
-    """Determinants (d, w) and transfers (d, w, p, m), in chunks over frequency."""
-    n, (w, rows, columns) = len(owner), M.shape
+    M11: np.ndarray, owner: np.ndarray, delta: np.ndarray, branching: _Branching
+) -> np.ndarray:
+    """Determinants (d, w), in chunks over frequency."""
     channels = np.concatenate([np.flatnonzero(owner == i) for i in branching.order])
-    row, column = (
-        np.append(channels, np.arange(n, rows)),
-        np.append(channels, np.arange(n, columns)),
-    )
 
     # frequency last, so that the products run over it; one branch to begin with
-    S = np.ascontiguousarray(M[:, row[:, None], column].transpose(1, 2, 0))[:, :, None]
-    h = np.empty((len(delta), w), complex)
-    T = np.empty((len(delta), w, rows - n, columns - n), complex)
-    spoilt = np.empty((len(delta), w), bool)
-    step = max(1, _BATCH // _all_largest(branching, rows, columns))
-    for start in range(0, w, step):
-        part = slice(start, start + step)
-        det, rest, bad = _eliminated(S[..., part], branching)
-        h[:, part], spoilt[:, part] = det[branching.leaf], bad[branching.leaf]
-        T[:, part] = rest.transpose(2, 3, 0, 1)[branching.leaf]
-    i, j = np.nonzero(spoilt)
-    if len(i):  # a pivot close to zero
-        wide = delta[i][:, owner]
-        h[i, j] = _all_determinants(M[j, :n, :n], wide)
-        if rows > n:
-            T[i, j] = _transfers(M[j], wide)
-    return h, T
+    S = np.ascontiguousarray(M11[:, channels[:, None], channels].transpose(1, 2, 0))[:, :, None]
+    h = np.empty((len(delta), len(M11)), complex)
+    spoilt = np.empty(h.shape, bool)
 
-
-def _all_largest(branching: _Branching, rows: int, columns: int) -> int:
-    """The most numbers per frequency that ``_eliminated`` holds in one array: many branches while
-    the matrices are large, as points that share nothing have, count as much as many points.
-    """
+    # the most numbers per frequency in one array: many branches while the matrices are large, as
+    # points that share nothing have, count as much as many points
     closed = np.cumsum([0, *branching.repeats[:-1]])
     branches = np.array([len(parent) for parent in branching.parents])
-    return int((branches * (rows - closed) * (columns - closed)).max())
+    step = max(1, _BATCH // int((branches * (len(owner) - closed) ** 2).max()))
+    for start in range(0, len(M11), step):
+        part = slice(start, start + step)
+        det, bad = _eliminated(S[..., part], branching)
+        h[:, part], spoilt[:, part] = det[branching.leaf], bad[branching.leaf]
+    i, j = np.nonzero(spoilt)  # a pivot close to zero
+    h[i, j] = _all_determinants(M11[j], delta[i][:, owner])
+    return h
 
 
-def _eliminated(S: np.ndarray, branching: _Branching) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """S (rows, columns, 1, w) closed parameter by parameter: determinant (c, w), the rest (p, m, c,
-    w), spoilt (c, w).
-    """
+def _eliminated(S: np.ndarray, branching: _Branching) -> tuple[np.ndarray, np.ndarray]:
+    """S (n, n, 1, w) closed parameter by parameter: determinant (c, w) and spoilt (c, w)."""
     det, bad = np.ones(S.shape[2:], complex), np.zeros(S.shape[2:], bool)
     with np.errstate(all="ignore"):
         for r, parent, value in zip(
@@ -461,7 +425,7 @@ def _eliminated(S: np.ndarray, branching: _Branching) -> tuple[np.ndarray, np.nd
                 pivot, small, step = _block(S, r, parent, v)
             S = S[r:, r:][:, :, parent] + step
             det, bad = det[parent] * pivot, bad[parent] | small | ~np.isfinite(pivot)
-    return det, S, bad
+    return det, bad
 
 
 def _block(
@@ -490,16 +454,6 @@ def _all_determinants(M11: np.ndarray, wide: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.det(np.eye(M11.shape[-1]) - M11 * wide[..., None, :]))
 
 
-def _transfers(M: np.ndarray, wide: np.ndarray) -> np.ndarray:
-    """T with pivoting, for M (..., n + p, n + m) and wide (..., n); NaN on a pole."""
-    n, m = wide.shape[-1], M.shape[-1] - wide.shape[-1]
-    D = wide[..., None, :]  # on the columns of M11 and M21
-    X = np.eye(n) - M[..., :n, :n] * D
-    right = np.broadcast_to(M[..., :n, n:], (*X.shape[:-1], m)).reshape(-1, n, m)
-    inner = memberwise(np.linalg.solve, X.reshape(-1, n, n), right).reshape(*X.shape[:-1], m)
-    return np.asarray(M[..., n:, n:] + (M[..., n:, :n] * D) @ inner)
-
-
 LARGEST_BOX = 20.0  # in boxes
 _ANGLES = 25  # frequencies beside every lightly damped pole
 _AT_ONCE = 60_000  # matrices whose eigenvalues are computed at once
@@ -509,7 +463,6 @@ _STARTS = 6  # per round
 _STEPS = 60  # along the surface of the crossing, at most
 _HALVINGS = 12  # of a grid interval in which an eigenvalue crosses the real axis
 _NEWTON = 12  # steps of Newton's method, at most
-_SAME = 1e-12  # of a column, to which it must be made of others
 _STILL = 1e-10  # relative imaginary part of the eigenvalue that counts as none
 
 
@@ -536,7 +489,6 @@ def box_margin(loop: BoxLoop, also: np.ndarray | None = None, seed: int = 0) -> 
     rng = np.random.default_rng(seed)
     grid = _grid(loop)
     n = len(loop.owner)
-    shared = _shared_inputs(loop)
     M = loop.at(grid)[:, :n, :n]
     M[0] = M[0].real  # at rest, exactly: its real eigenvalues are crossings, of poles at zero
     # no crossing below 1 / reach there
@@ -563,7 +515,7 @@ def box_margin(loop: BoxLoop, also: np.ndarray | None = None, seed: int = 0) -> 
         kept = reach >= 1 / top
         kept[1:] |= kept[:-1]
         kept[:-1] |= kept[1:]
-        starts = _candidates(grid, M, kept, loop, shared, directions, top)
+        starts = _candidates(grid, M, kept, loop, directions, top)
         crossings = [
             landed
             for start in starts
@@ -601,38 +553,11 @@ def _scattered(parameters: int, rng: np.random.Generator) -> np.ndarray:
     return inside
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Inputs:
-    """M11 = M11[:, columns] E, for E (r, n)."""
-
-    columns: np.ndarray
-    E: np.ndarray
-
-    def eigenvalues(self, M: np.ndarray, wide: np.ndarray) -> np.ndarray:
-        """Those of M11 diag(wide) (..., r) but for n - r zeros, M11 (..., n, n), wide (..., n)."""
-        return np.linalg.eigvals((self.E * wide[..., None, :]) @ M[..., self.columns])
-
-
-def _shared_inputs(loop: BoxLoop) -> _Inputs:
-    n = len(loop.owner)
-    columns = np.vstack([loop.system.B[:, :n], loop.system.D[:, :n]])
-    size = np.linalg.norm(columns, axis=0)
-    size[size == 0] = 1.0
-
-    # columns / size = Q R P^T; those beyond the rank are R11^-1 R12 of the first ones
-    R, order = sla.qr(columns / size, mode="r", pivoting=True)
-    rank = max(int((np.abs(np.diag(R)) > _SAME).sum()), 1)
-    E = np.zeros((rank, n))
-    E[:, order] = np.linalg.lstsq(R[:rank, :rank], R[:rank], rcond=None)[0]
-    return _Inputs(order[:rank], E * size / size[order[:rank], None])
-
-
 def _candidates(
     grid: np.ndarray,
     M: np.ndarray,
     kept: np.ndarray,
     loop: BoxLoop,
-    shared: _Inputs,
     directions: np.ndarray,
     limit: float,
 ) -> list[BoxMargin]:
@@ -646,11 +571,11 @@ def _candidates(
     step = max(1, _AT_ONCE // len(index))
     for start in range(0, len(directions), step):
         part = directions[start : start + step]
-        values = shared.eigenvalues(M[index], part[:, None, loop.owner])
+        values = loop.ports.eigenvalues(M[index], part[:, None, loop.owner])
         through, touching = _real_crossings(values, grid[index], np.diff(index) == 1, limit)
         rows += [
             (factor, start + d, omega)
-            for factor, d, omega in [*_narrowed(loop, shared, part, through), *touching]
+            for factor, d, omega in [*_narrowed(loop, part, through), *touching]
         ]
     rows.sort()
     chosen: list[BoxMargin] = []
@@ -711,7 +636,7 @@ def _real_crossings(
 
 
 def _narrowed(
-    loop: BoxLoop, shared: _Inputs, directions: np.ndarray, brackets: _Brackets
+    loop: BoxLoop, directions: np.ndarray, brackets: _Brackets
 ) -> list[tuple[float, int, float]]:
     """(factor, direction, frequency) of the crossings, their brackets halved: the eigenvalues may
     turn fast in between.
@@ -725,7 +650,7 @@ def _narrowed(
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         M = loop.at(middle)[:, :n, :n]
-        values = shared.eigenvalues(np.where(middle[:, None, None] > 0, M, M.real), wide)
+        values = loop.ports.eigenvalues(np.where(middle[:, None, None] > 0, M, M.real), wide)
         at = np.abs(values - 0.5 * (a + b)[:, None]).argmin(axis=1)
         value = values[np.arange(len(at)), at]
         upper = value.imag * a.imag > 0  # the crossing is in the upper half

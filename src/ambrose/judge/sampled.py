@@ -17,11 +17,11 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import largest_gain
-from ambrose.core.lft import RealBlock, upper_lft
+from ambrose.core.lft import Ports, RealBlock, ports, upper_lft, upper_lft_responses
 from ambrose.core.mu.all_frequencies import Chords, modal_chords
 from ambrose.core.sampling import held
 from ambrose.core.statespace import StateSpace, check_loop
-from ambrose.core.worst_case_loop import box_points, transfers_at
+from ambrose.core.worst_case_loop import box_points
 from ambrose.judge import nominal
 from ambrose.judge.checks import Check, Checks, box_label, information, judge
 from ambrose.judge.loop_response import half_order_share, solid_cores
@@ -58,6 +58,7 @@ from ambrose.model.uncertainty import (
 
 
 ALIASES = 4  # on either side: see above
+_HELD = 4000  # responses of members worked on at once, which a processor keeps near
 _LOWEST = 1.0  # rad/s, of the grid
 _PER_DECADE = 25  # what is not a resonance is broad
 _LIGHT = 0.35  # damping ratio below which a pole has frequencies of its own
@@ -80,15 +81,17 @@ class SampledBox:
     """S_o of a sampled loop for every value of its tolerances, on the full plant.
 
     controller: sampled, with its delay, err_<axis> to u_<axis>; names (k,): parameters; system: of
-    the full plant, from (w_delta, u) to (z_delta, y); model: its chords; owner (n,): the parameter
-    that a channel of w_delta belongs to.
+    the full plant, from (w_delta, u) to (z_delta, y); owner (n,): the parameter that a channel of
+    w_delta belongs to; ports: the channels that the others are made of; model: chords with these
+    alone.
     """
 
     controller: StateSpace
     names: tuple[str, ...]
     system: StateSpace
-    model: Chords
     owner: np.ndarray
+    ports: Ports
+    model: Chords
 
     @property
     def nyquist(self) -> float:
@@ -119,9 +122,17 @@ class SampledBox:
         alias = omega[:, None] + 2 * np.pi / dt * np.arange(-ALIASES, ALIASES + 1)
         M = self.model.at(np.abs(alias.ravel()))
         M = np.where((alias.ravel() < 0)[:, None, None], M.conj(), M)  # M(-j w) = conj M(j w)
-        terms = transfers_at(M, self.owner, delta)
-        terms = terms.reshape(len(delta), *alias.shape, *terms.shape[2:])
-        return np.einsum("dwkij,wk->dwij", terms, turn[:, None] / (1j * alias * dt))
+        M = M.transpose(1, 2, 0).reshape(*M.shape[1:], *alias.shape)
+        gain = self.ports.gain(delta[:, self.owner])
+        hold = turn[:, None] / (1j * alias * dt)
+        step = max(1, _HELD // (alias.shape[1] * len(delta)))
+        parts = []
+        for k in range(0, max(1, len(omega)), step):
+            part = M[:, :, k : k + step]
+            terms = upper_lft_responses(part.reshape(*M.shape[:2], -1), gain)
+            terms = terms.reshape(*terms.shape[:3], *part.shape[2:])
+            parts.append(np.einsum("dijwk,wk->dwij", terms, hold[k : k + step]))
+        return np.concatenate(parts, axis=1)
 
     def gains(self, omega: np.ndarray, delta: np.ndarray) -> np.ndarray:
         """sigma_max(S_o) (d, w)."""
@@ -250,7 +261,12 @@ def sampled_box(
     blocks = [block for block in model.blocks if isinstance(block, RealBlock)]  # all: tolerances
     owner = np.repeat(np.arange(len(blocks)), [block.repeat for block in blocks])
     names = tuple(block.name for block in blocks)
-    return SampledBox(controller, names, model.system, modal_chords(model.system), owner)
+
+    s, n, few = model.system, len(owner), ports(model.system, len(owner))
+    chords = modal_chords(s).part(
+        np.r_[few.outputs, n : len(s.outputs)], np.r_[few.inputs, n : len(s.inputs)]
+    )
+    return SampledBox(controller, names, s, owner, few, chords)
 
 
 def _response(system: StateSpace, omega: np.ndarray) -> np.ndarray:

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from ambrose.core import worst_case_loop as box_elimination
-from ambrose.core.worst_case_loop import determinants_at, transfers_at
+from ambrose.core.lft import upper_lft_responses
+from ambrose.core.worst_case_loop import determinants_at
 
 
 def problem(
@@ -35,6 +36,11 @@ def one_by_one(
         h[i, j] = np.linalg.det(np.eye(n) - m[:n, :n] @ D)
         T[i, j] = m[n:, n:] + m[n:, :n] @ D @ np.linalg.inv(np.eye(n) - m[:n, :n] @ D) @ m[:n, n:]
     return h, T
+
+
+def transfers_at(M: np.ndarray, owner: np.ndarray, delta: np.ndarray) -> np.ndarray:
+    gain = delta[:, owner, None] * np.eye(len(owner))
+    return upper_lft_responses(M.transpose(1, 2, 0), gain).transpose(0, 3, 1, 2)
 
 
 @pytest.mark.parametrize("repeats", [(1,), (3,), (1, 1), (2, 1, 4, 1), (1,) * 6, (3, 2, 2, 1, 1)])

@@ -12,7 +12,6 @@ from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace
 from ambrose.core.worst_case import _log_gain, gain_bound, peak_at, proved_margin, worst_gain
 from ambrose.core.worst_case_loop import (
-    _shared_inputs,
     box_loop,
     box_margin,
     corners,
@@ -325,8 +324,8 @@ def test_eigenvalues_of_parameters_that_share_inputs(direct):
     ):
         B[:, i], D[:, i] = B[:, :2] @ mix, D[:, :2] @ mix
     loop = box_loop(StateSpace(s.A, B, s.C, D), loop.blocks)
-    shared = _shared_inputs(loop)
-    assert len(shared.columns) == 2
+    shared = loop.ports
+    assert len(shared.inputs) == 2
     M = loop.at(np.array([0.3, 2.0]))[:, :n, :n]
     wide = rng.normal(size=(4, 1, n)) / np.linalg.norm(M[0], axis=0)
     whole = np.linalg.eigvals(M * wide[..., None, :])
