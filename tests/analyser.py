@@ -14,8 +14,8 @@ from independent_rig import Rig, numbers_of
 class Truth:
     """A linear rig at standstill; held: A, B, C of the plant as its controller sees it, y per u.
 
-    casing: (hertz, damping, share) of a mode that is no part of any machine file: a casing that
-    both magnet and sensor of every axis act against, share of 1/K_s at its frequency's static end.
+    casing: (hertz, damping, part) of a mode that is no part of any machine file, beside the rotor
+    at every axis; part: its peak over the plant's own size there.
     """
 
     rig: Rig
@@ -34,13 +34,14 @@ class Truth:
         A, B, C = rig.A, rig.Bv, rig.Cy
         a = len(rig.axes)
         if casing is not None:
-            # m x'' + d x' + k x = i beside the rotor, y = y_rotor + gain x
-            hertz, damping, share = casing
+            # x'' + 2 z w x' + w^2 x = w^2 gain i beside the rotor, y = y_rotor + x
+            hertz, damping, part = casing
             w = 2 * np.pi * hertz
             own = np.array([[0.0, 1.0], [-(w**2), -2 * damping * w]])
-            static = np.abs(C @ np.linalg.solve(A, B)).max()
+            there = C @ np.linalg.solve(1j * w * np.eye(len(A)) - A, B)
+            gain = 2 * damping * part * np.abs(np.diag(there)).max()
             A = block_diag(A, *[own] * a)
-            B = np.vstack([B, np.kron(np.eye(a), [[0.0], [w**2 * share * static]])])
+            B = np.vstack([B, np.kron(np.eye(a), [[0.0], [w**2 * gain]])])
             C = np.hstack([C, np.kron(np.eye(a), [[1.0, 0.0]])])
         n = len(A)
         big = np.zeros((n + a, n + a))
@@ -59,6 +60,21 @@ class Truth:
             found.append((pole.imag + width * np.linspace(-6, 6, 4 * packed)) / (2 * np.pi))
         found = np.concatenate(found)
         return np.unique(found[(found >= low) & (found <= high)].round(3))
+
+    def light_poles(self, law):
+        """Poles [rad/s] of the running loop, with its delay, that make resonances."""
+        Ad, Bd, Cy = self.held
+        A, B, C, D = law
+        a = Bd.shape[1]
+        loop = np.block(
+            [
+                [Ad, np.zeros((len(Ad), len(A))), Bd],
+                [-B @ Cy, A, np.zeros((len(A), a))],
+                [-D @ Cy, C, np.zeros((a, a))],
+            ]
+        )
+        s = np.log(np.linalg.eigvals(loop).astype(complex) + 1e-300) * self.rate
+        return s[(s.imag > 0) & (np.abs(s.real) < 0.1 * np.abs(s))]
 
     def plant(self, hertz):
         """G (w, a, a)."""

@@ -19,6 +19,7 @@ from ambrose.judge.controller_file import write_controller
 from ambrose.machine.description import OperatingPoint
 from ambrose.record.response import Path, Response
 from ambrose.record.response_files import write_response
+from analyser import Truth, matrices
 from independent_rig import Rig, numbers_of
 
 MACHINE = "seal-rig"
@@ -328,3 +329,54 @@ def test_from_the_command_line(tmp_path):
     (tmp_path / "wrong.csv").write_text(wrong)
     refused = run("identify", MACHINE, tmp_path / "wrong.csv", "--controller", tmp_path / "K.json")
     assert refused.exit_code == 2 and "state dB" in refused.stderr
+
+
+def with_casing(seed):
+    """Frequencies of an unknown mode beside the rotor, and of the running loop's pole next to it;
+    the finding's frequency and damping (None: not found).
+    """
+    rng = np.random.default_rng(seed)
+    hertz, damping, part = (
+        np.exp(rng.uniform(np.log(low), np.log(high)))
+        for low, high in ((60, 450), (0.003, 0.02), (0.2, 2))
+    )
+    truth = Truth.of(FILE, 1e4, (0.05, -0.05), casing=(hertz, damping, part))
+    law = matrices(controller(), 1e4)
+    lines = np.concatenate(
+        [np.geomspace(5, 1500, 150), hertz * (1 + damping * np.linspace(-8, 8, 25))]
+    )
+    found = truth.light_poles(law)
+    pole = found[np.argmin(np.abs(np.abs(found) / (2 * np.pi * hertz) - 1))]
+    try:
+        texts = map(str, identify(truth.sweep(MACHINE, law, np.unique(lines), seed=seed)).findings)
+    except InvalidInput as error:
+        texts = str(error).splitlines()
+    words = r"nothing models: ([\d.]+) Hz, damping ratio ([\de.-]+)"
+    told = next((match for text in texts if (match := re.search(words, text))), None)
+    known = abs(pole) / (2 * np.pi), -pole.real / abs(pole)
+    return known, None if told is None else (float(told[1]), float(told[2]))
+
+
+def right(known, told):
+    return told is not None and abs(told[0] / known[0] - 1) < 0.02 and 0.3 < told[1] / known[1] < 3
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_casing_mode_is_named_with_frequency_and_damping(seed):
+    """As the running loop has it, by the eigenvalues of the tests' own."""
+    assert right(*with_casing(seed))
+
+
+@pytest.mark.study
+def test_twenty_casing_modes():
+    found = [with_casing(seed) for seed in range(20)]
+    for known, told in found:
+        print(known, told)
+    print(sum(right(*one) for one in found), "of 20 named")
+    assert sum(right(*one) for one in found) >= 15
+
+
+def test_no_mode_is_named_where_all_are_modelled():
+    law, truth = matrices(controller(), 1e4), Truth.of(FILE, 1e4, (0.05, -0.05))
+    done = identify(truth.sweep(MACHINE, law, np.geomspace(5, 450, 170)))
+    assert not any("nothing models" in str(finding) for finding in done.findings)

@@ -1,6 +1,7 @@
 """Files of frequency responses, each written here by hand."""
 
 import io
+import json
 import struct
 
 import numpy as np
@@ -216,3 +217,33 @@ def test_the_unit_in_a_heading_counts(tmp_path):
     columns = {"machine": "toy", "point": POINT, "path": paths, "frequency": {"source": "Freq"}}
     found = read_response(written(tmp_path, text), columns).paths[0]
     np.testing.assert_allclose(found.values, 1e-6 * S)
+
+
+def test_json_goes_both_ways_and_says_what_is_wrong(tmp_path):
+    names = ["frequency [Hz]", "S A_zeta real", "S A_zeta imag", "S A_zeta deviation",
+             "T A_eta/A_zeta current real", "T A_eta/A_zeta current imag"]  # fmt: skip
+    columns = (HERTZ, S.real, S.imag, 0.01 * abs(S), T.real, T.imag)
+    first = read_response(written(tmp_path, table(names, *columns, head=HEAD)))
+    write_response(first, tmp_path / "own.json")
+    assert holds_responses(tmp_path / "own.json")
+    again = read_response(tmp_path / "own.json")
+    assert again.attributes == first.attributes
+    np.testing.assert_array_equal(again.omega, first.omega)
+    for one, other in zip(again.paths, first.paths, strict=True):
+        assert one.name == other.name
+        np.testing.assert_array_equal(one.values, other.values)
+        np.testing.assert_array_equal(one.variance, other.variance)
+    document = json.loads((tmp_path / "own.json").read_text())
+    by_hand = {**document, "paths": [{k: v for k, v in document["paths"][0].items()
+                                      if k in {"quantity", "read", "real", "imag"}}]}  # fmt: skip
+    found = read_response(written(tmp_path, json.dumps(by_hand), "hand.json"))
+    assert [path.name for path in found.paths] == ["S A_zeta"]
+    wrong = [({**by_hand, "frequency": "x"}, "frequency and"), ([], "no file of responses"),
+             ({**by_hand, "paths": [{"quantity": "S"}]}, "real"),
+             ({**by_hand, "speed_rad_s": "fast"}, "speed_rad_s"),
+             ({**by_hand, "frequency": document["frequency"][:-1]}, "number of values")]  # fmt: skip
+    for content, words in wrong:
+        with pytest.raises(InvalidInput, match=words):
+            read_response(written(tmp_path, json.dumps(content), "wrong.json"))
+    with pytest.raises(InvalidInput):
+        read_response(written(tmp_path, '{"format": "ambrose responses", ', "wrong.json"))

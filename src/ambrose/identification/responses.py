@@ -17,6 +17,7 @@ from pathlib import Path as File
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize as optimise
 
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.frequency import frequency_response
@@ -62,6 +63,14 @@ _LOUD, _ALIKE = (
 )  # residual over noise, correlation of neighbours: the model lacks something
 _FEW = 12  # lines from which their scatter tells their noise
 _SMALL = 0.1  # of the largest path: what is smaller may be nothing but noise
+_DAMPINGS = (0.002, 0.006, 0.02)  # of a resonance that is looked for
+_WIDE, _NEAR_MODE = (
+    0.06,
+    0.1,
+)  # damping of what is one, and relative distance of a mode that is near
+_BAND, _LINES = 0.25, 10  # logarithm of frequency about it, and lines within
+_SHARE, _TELLING = 0.5, 60.0  # of the residuals that it explains; of twice the log likelihood
+_MOST_RESONANCES, _PEAKS = 3, 12
 _TOLD = 20.0  # of twice the log likelihood, by which one reading is better than another
 _REFITS = 10  # iterations of the fit with exchanged axes
 _AWAY = 5.0  # of their size, by which the values may go from the start in it
@@ -488,6 +497,105 @@ _CORRECTIONS: Mapping[str, Callable[[Path], np.ndarray]] = {
 }
 
 
+# A resonance that nothing models: what a common pole explains, in all paths together, of what the
+# model leaves in a band about it beside a straight line,
+#
+#     e(w) = (a + j w b)/(w0^2 - w^2 + 2 j zeta w0 w) + c + d (w - w0),  a, b real, c, d complex.
+
+
+def missing_resonances(
+    problem: Problem, theta: np.ndarray
+) -> Iterator[tuple[float, float, float, str]]:
+    """Frequency [rad/s] and damping ratio of each, as the running loop has it, the share that it
+    explains of the residuals about it, and the path in which it shows most; the largest first.
+    """
+    left = []
+    for (omega, path), (_, values, _) in zip(problem.items, problem.models(theta), strict=True):
+        if path.quantity != "K" and np.median(np.abs(path.values)) >= problem.small(path):
+            sigma = np.sqrt(np.maximum(noise_beside(omega, path, values), 1e-300) / 2)
+            left.append((omega, path.name, (path.values - values) / sigma))
+    for _ in range(_MOST_RESONANCES):
+
+        def gained(w: float, zeta: float, left: Sequence[Any] = left) -> float:
+            return sum(one[0] for one in _explained(left, float(w), float(np.abs(zeta))))
+
+        # where most is left, line by line
+        power = [np.abs(r) ** 2 for *_, r in left]
+        lines = sorted(
+            ((float(p[k]), float(omega[k])) for (omega, *_), p in zip(left, power, strict=True)
+             for k in np.argsort(p)[-_PEAKS:]), reverse=True
+        )  # fmt: skip
+        places = list(dict.fromkeys(w for _, w in lines))[:_PEAKS]
+        if not places:
+            return
+        _, w, zeta = max((gained(w, zeta), w, zeta) for w in places for zeta in _DAMPINGS)
+        start = np.array([w, zeta])
+        found = optimise(
+            lambda x, start=start, gained=gained: -gained(*(start * np.exp(x))),
+            np.zeros(2),
+            method="Nelder-Mead",
+            options={"initial_simplex": [[0, 0], [0.01, 0], [0, 0.3]], "maxfev": 60},
+        )
+        w, zeta = (start * np.exp(found.x)).tolist()
+        parts = _explained(left, w, zeta)
+        gain, whole, count = (float(sum(one[k] for one in parts)) for k in range(3))
+        rest = max((whole - gain) / max(2 * count - 6 * len(parts), 1.0), 1.0)
+        if gain < _TELLING * rest + 2 * len(parts) or gain < _SHARE * whole or zeta > _WIDE:
+            return
+        largest = int(np.argmax([one[0] for one in parts]))
+        yield w, zeta, gain / whole, left[largest][1]
+        left = [
+            (omega, name, r - one[3]) for (omega, name, r), one in zip(left, parts, strict=True)
+        ]
+
+
+def _explained(
+    left: Sequence[tuple[np.ndarray, str, np.ndarray]], w: float, zeta: float
+) -> list[tuple[float, float, int, np.ndarray]]:
+    """Of every path: the sum of squares that a pole explains beside a straight line, that beside
+    the line alone, the lines of the band, and the pole's part (w,).
+    """
+    found = []
+    for omega, _, r in left:
+        band = np.abs(np.log(omega / w)) < _BAND
+        if band.sum() < _LINES:
+            found.append((0.0, 0.0, 0, np.zeros_like(r)))
+            continue
+        pole = 1 / (1 - (omega / w) ** 2 + 2j * zeta * omega / w)
+        away = omega[band] / w - 1
+        ones = np.ones_like(away)
+        line = np.stack([ones, 1j * ones, away, 1j * away], axis=1)
+        own = np.stack([pole, 1j * omega / w * pole], axis=1)
+        y = np.concatenate([r[band].real, r[band].imag])
+        A, B = (np.concatenate([M.real, M.imag]) for M in (line, own[band]))
+        Q = np.linalg.qr(A)[0]
+        y, B = y - Q @ (Q.T @ y), B - Q @ (Q.T @ B)
+        x = np.linalg.lstsq(B, y, rcond=None)[0]
+        gain = float(y @ (B @ x))
+        found.append((gain, float(y @ y), int(band.sum()), own @ x))
+    return found
+
+
+def _named(problem: Problem, theta: np.ndarray, severity: str) -> Iterator[Finding]:
+    """The resonances that nothing models, each beside the mode of the model that lies near."""
+    loop = problem.loop.model.loop(theta)[0]
+    s = np.log(poles(loop).astype(complex) + 1e-300) / float(loop.dt or 1.0)
+    modes = s.imag[(s.imag > 0) & (-s.real < _WIDE * np.abs(s))]
+    for w, zeta, share, name in missing_resonances(problem, theta):
+        near = modes[np.abs(modes / w - 1) < _NEAR_MODE] if modes.size else modes
+        what = (
+            f"a resonance that nothing models: {w / _CYCLE:.4g} Hz, damping ratio {zeta:.2g}, most "
+            f"in {name}; it explains {share:.0%} of what the model leaves about it"
+        )
+        remedy = "a casing, a free mode or a pipe: find it by a hammer test, or leave its lines out"
+        if near.size:
+            mode = near[int(np.argmin(np.abs(near / w - 1)))] / _CYCLE
+            remedy = (
+                f"the model's mode at {mode:.4g} Hz may be off (--unknown bending); or {remedy}"
+            )
+        yield Finding(Code.RESIDUALS, severity, what, remedy=remedy)
+
+
 def _estimate(
     machine: Machine,
     problem: Problem,
@@ -533,6 +641,9 @@ def _estimate(
             )
             text = f"the model leaves of {path.name} {why}, {worst}"
             findings.append(Finding(Code.RESIDUALS, WARNING, text, remedy=remedy))
+    if findings:
+        worst = ERROR if any(item.severity == ERROR for item in findings) else WARNING
+        findings[:0] = _named(problem, minimum.x, worst)
     refuse(findings)
     covariance = np.linalg.inv(H) * excess
     correlation = statistics.parameter_correlation(H)

@@ -8,6 +8,9 @@ A CSV names every column by path and part, and the machine and its operating poi
 # seal_pressure_pa: 0
 frequency [Hz],S A_zeta gain [dB],S A_zeta phase [deg],T A_eta/A_zeta real,T A_eta/A_zeta imag
 
+JSON says the same as HDF5: machine, operating point, frequency [rad/s], and paths, each with
+quantity, read, injected, at, real, imag and, where it is known, variance.
+
 A map names columns of another program's file: machine, [point] and [frequency] as for records, and
 a [[path]] for every quotient, with quantity, read, and source (complex), gain and phase, or real
 and imag.
@@ -15,6 +18,7 @@ and imag.
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -30,6 +34,7 @@ from ambrose.machine.kinds import Choice, Name, Quantity, Words
 from ambrose.machine.ordinary_file import NUMBERS, SIGNALS, check_source, draft_of
 from ambrose.machine.part import Part
 from ambrose.machine.units import DIMENSIONS, in_si, quoted
+from ambrose.options import either
 from ambrose.record.apart import read_variables, variables_of
 from ambrose.record.foreign import Column
 from ambrose.record.hdf5_file import fixed, opened, own_member
@@ -39,6 +44,7 @@ from ambrose.record.text_uff import ABSCISSA, Variable, refuse_encoding, refuse_
 
 FORMAT = "ambrose responses"
 _PLAIN = {".csv", ".txt", ".dat", ".asc", ".uff", ".unv"}  # that no library reads
+_PATH_KEYS = ("quantity", "read", "injected", "at")
 _CYCLE = 2 * np.pi  # [rad]
 _TURNS = 8  # by which no phase turns within a sweep: then it is in degrees
 _PARTS = ("gain", "phase", "real", "imag", "coherence", "deviation")
@@ -145,6 +151,9 @@ def holds_responses(path: str | File) -> bool:
         if path.suffix.lower() in {".h5", ".hdf5"}:
             with opened(path) as file:
                 return "frequency" in file
+        if path.suffix.lower() == ".json":
+            with path.open(encoding="utf-8") as text:
+                return FORMAT in text.read(1000)
         if path.suffix.lower() != ".csv":
             return False
         with path.open(encoding="utf-8-sig") as lines:
@@ -158,13 +167,16 @@ def read_response(
     path: str | File, columns: ResponseMap | Mapping[str, Any] | str | File | None = None
 ) -> Response:
     """The responses in a file. columns: a map, its document or its TOML file; None for CSV that
-    names its columns, and own HDF5. Raises InvalidInput with the file's name and what is wrong.
+    names its columns, own HDF5 and JSON. Raises InvalidInput with the file's name and what is
+    wrong.
     """
     path = check_path(path, "responses")
     try:
         if columns is None and path.suffix.lower() in {".h5", ".hdf5"}:
             check_source(path, "responses")
             return _read_hdf5(path)
+        if columns is None and path.suffix.lower() == ".json":
+            return _read_json(check_source(path, "responses"))
         if columns is None:
             columns = _own_map(path)
         elif isinstance(columns, str | File):
@@ -179,12 +191,12 @@ def read_response(
 
 
 def write_response(response: Response, path: str | File) -> File:
-    """Write the responses as HDF5 (.h5) or CSV (.csv), atomically. Raises InvalidInput."""
+    """Write the responses as HDF5 (.h5), CSV or JSON, atomically. Raises InvalidInput."""
     path = check_path(path, "responses")
-    writers = {".h5": _write_hdf5, ".hdf5": _write_hdf5, ".csv": _write_csv}
+    writers = {".h5": _write_hdf5, ".hdf5": _write_hdf5, ".csv": _write_csv, ".json": _write_json}
     if path.suffix.lower() not in writers:
         raise invalid(
-            f"the suffix of {path.name}", repr(path.suffix), ".h5 or .csv", "choose one of them"
+            f"the suffix of {path.name}", repr(path.suffix), either(list(writers)), "choose one"
         )
     with draft_of(path, "responses") as draft:
         writers[path.suffix.lower()](response, draft)
@@ -247,20 +259,24 @@ def _own_map(path: File) -> ResponseMap:
     return ResponseMap(said["machine"], point, tuple(paths), column, said.get("date", ""), rate)
 
 
-def _stated(said: Mapping[str, str]) -> tuple[OperatingPoint, float | None, float]:
+def _stated(said: Mapping[str, Any]) -> tuple[OperatingPoint, float | None, float]:
     """Operating point, sample rate [Hz] and number of averages, as a file's texts have them. Raises
     InvalidInput.
     """
     texts = {name: said[key] for key, name in POINT_KEYS.items() if key in said}
-    label = texts.pop("label", "")
+    label = str(texts.pop("label", ""))
+    stated = said.get("sample_rate_hz")
     try:
         point = OperatingPoint(**{name: float(text) for name, text in texts.items()}, label=label)
-        rate = float(said["sample_rate_hz"]) if "sample_rate_hz" in said else None
+        rate = None if stated is None else float(stated)
         return point, rate, float(said.get("averages", 0))
     except InvalidInput:
         raise
-    except ValueError as error:
-        raise InvalidInput(f"an attribute is no number ({error}); correct it") from None
+    except (TypeError, ValueError) as error:
+        raise InvalidInput(
+            f"its operating point or rate is no number, or missing ({error}); write speed_rad_s, "
+            "seal_pressure_pa and sample_rate_hz"
+        ) from None
 
 
 def _two_units(name: str, units: Sequence[str]) -> InvalidInput:
@@ -418,7 +434,7 @@ def _write_hdf5(response: Response, path: File) -> None:
             data = file.create_dataset(
                 f"path_{number}", data=np.array(parts), fletcher32=True, chunks=True
             )
-            for key in ("quantity", "read", "injected", "at"):
+            for key in _PATH_KEYS:
                 data.attrs[key] = fixed(getattr(item, key))
 
 
@@ -443,6 +459,56 @@ def _read_hdf5(path: File) -> Response:
             rows, keys = data[:], {key: text(data.attrs[key]) for key in data.attrs}
             variance = rows[2] if len(rows) == 3 else None
             paths.append(Path(values=rows[0] + 1j * rows[1], variance=variance, **keys))
-        point, rate, _ = _stated(said)
-        name, date = said.get("machine", ""), said.get("date", "")
-        return Response(name, omega[:], tuple(paths), point, date, rate)
+        return _from_attributes(said, omega[:], paths)
+
+
+def _from_attributes(said: Mapping[str, Any], omega: np.ndarray, paths: Sequence[Path]) -> Response:
+    """What ``Response.attributes`` says, as text or numbers, and the rest."""
+    point, rate, _ = _stated(said)
+    name, date = str(said.get("machine", "")), str(said.get("date", ""))
+    return Response(name, omega, tuple(paths), point, date, rate)
+
+
+def _write_json(response: Response, path: File) -> None:
+    document = {
+        "format": FORMAT,
+        **response.attributes,
+        "frequency": response.omega.tolist(),
+        "paths": [
+            {
+                **{key: getattr(item, key) for key in _PATH_KEYS},
+                "real": item.values.real.tolist(),
+                "imag": item.values.imag.tolist(),
+                **({} if item.variance is None else {"variance": item.variance.tolist()}),
+            }
+            for item in response.paths
+        ],
+    }
+    path.write_text(json.dumps(document, indent=1), encoding="utf-8")
+
+
+def _read_json(path: File) -> Response:
+    try:
+        said = json.loads(path.read_text("utf-8"))
+        if not isinstance(said, dict) or said.get("format") != FORMAT:
+            raise InvalidInput(f'it is no file of responses; state "format": {FORMAT!r}')
+        paths = []
+        for item in said["paths"]:
+            real, imag = np.array(item["real"], float), np.array(item["imag"], float)
+            variance = item.get("variance")
+            keys = {key: str(item[key]) for key in _PATH_KEYS if key in item}
+            paths.append(
+                Path(
+                    values=real + 1j * imag,
+                    variance=None if variance is None else np.array(variance, float),
+                    **{"injected": keys.get("read", ""), **keys},
+                )
+            )
+        return _from_attributes(said, np.array(said["frequency"], float), paths)
+    except (KeyError, TypeError, AttributeError, ValueError, RecursionError) as error:
+        if isinstance(error, InvalidInput):
+            raise
+        raise InvalidInput(
+            f"a part of it is missing, or no list of numbers ({error}); write frequency and, for "
+            "each of paths, quantity, read, real and imag"
+        ) from None
