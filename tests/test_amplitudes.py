@@ -7,6 +7,7 @@ The outputs' keys are read from the sources: what functions that make data for J
 import ast
 import json
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -66,6 +67,14 @@ def silent(key):
 SOURCES = sorted(SOURCE.rglob("*.py"))
 
 
+@cache
+def trees():
+    """Every source, by its path in the package."""
+    return {
+        path.relative_to(SOURCE): ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES
+    }
+
+
 def test_a_key_that_does_not_say_is_found():
     assert silent("largest_displacement") and silent("force") and silent("amplitude_m")
     assert not silent("largest_displacement_0p") and not silent("motion_m_pp")
@@ -75,11 +84,11 @@ def test_a_key_that_does_not_say_is_found():
 
 def test_every_key_of_json_says_which():
     found, count = [], 0
-    for path in SOURCES:
-        for line, key in keys_of(ast.parse(path.read_text(encoding="utf-8"))):
+    for path, tree in trees().items():
+        for line, key in keys_of(tree):
             count += 1
             if silent(key):
-                found.append(f"{path.relative_to(SOURCE)}:{line} {key}")
+                found.append(f"{path}:{line} {key}")
     assert count > 500
     assert not found
 
@@ -87,8 +96,8 @@ def test_every_key_of_json_says_which():
 def test_every_check_of_an_amplitude_says_which():
     """judge(name, title, value, unit, ...), information and Check alike."""
     found, count = [], 0
-    for path in SOURCES:
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for path, tree in trees().items():
+        for node in ast.walk(tree):
             if not (isinstance(node, ast.Call) and len(node.args) > 3):
                 continue
             name, unit = node.args[0], node.args[3]
@@ -98,7 +107,7 @@ def test_every_check_of_an_amplitude_says_which():
             if all(isinstance(text, str) for text in texts) and texts[1] in {"m", "A", "N", "V"}:
                 count += 1
                 if not SAYS.search(texts[0]) and texts[0] not in LASTING:
-                    found.append(f"{path.relative_to(SOURCE)}:{node.lineno} {texts[0]}")
+                    found.append(f"{path}:{node.lineno} {texts[0]}")
     assert count >= 10
     assert not found
 

@@ -151,7 +151,7 @@ def test_a_loop_that_no_rate_is_known_of_and_that_the_assumed_one_would_lose_is_
     """The turboexpander's own PID held all limits of stability as a continuous loop; rig and code
     run it at 10 kHz and one sample late, where it grows. One that holds there gets no check.
     """
-    machine = amb.load_machine("turboexpander")
+    machine = coarse("turboexpander")
     plant = assemble(machine)
     law = pid_synthesis(plant).controller
     (checks,) = verify_points([plant], law)

@@ -15,8 +15,9 @@ from ambrose.model.effects.rotor import finite_element_rotor, free_bending_frequ
 from ambrose.model.plant import beyond_top_speed
 from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.design import explained
+from coarse import coarse
 
-MACHINE = amb.load_machine("two-disc-rotor")
+MACHINE = coarse("two-disc-rotor")
 TOP = MACHINE.operation.speed_range[1]
 HERTZ = 2 * np.pi
 

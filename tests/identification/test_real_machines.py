@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import ambrose as amb
-from ambrose import load_machine
 from ambrose.core.frequency import frequency_response
 from ambrose.identification.findings import Code
 from ambrose.identification.seal.by_frequency import _Model
@@ -20,8 +19,9 @@ from ambrose.model.assemble import assemble
 from ambrose.model.static_load import magnet_coefficients, operating_magnets
 from ambrose.rig import virtual_rig
 from ambrose.rig.scenario import load_scenario
+from coarse import coarse
 
-RIG = load_machine("seal-rig")
+RIG = coarse("seal-rig")
 PAIRS = tuple(
     replace(s, position=s.position + side * 0.01, angle=0.4 + 0.3 * side, weight=2.0 + side)
     for s in RIG.sensors
@@ -86,7 +86,7 @@ def test_magnets_stated_without_load_are_found_at_it():
     """A rotor that hangs through, on magnets of a data sheet: the file that identify writes holds
     the same magnets.
     """
-    machine = load_machine("two-disc-rotor")
+    machine = coarse("two-disc-rotor")
     law = amb.design(machine, "pid")
     record = virtual_rig.run(
         machine, law.controller, replace(load_scenario("prbs"), duration=0.6), bending_modes=2

@@ -9,11 +9,11 @@ from ambrose.core.statespace import StateSpace
 from ambrose.judge.exploration import PARTS, explore
 from ambrose.judge.plants import describe, judge_points, judge_stability
 from ambrose.law.pid import pid_controller
-from ambrose.machine.file.toml import load_machine
 from ambrose.model.assemble import assemble
 from ambrose.report.verification import exploration_page
+from coarse import coarse
 
-MACHINE = load_machine("two-disc-rotor")
+MACHINE = coarse("two-disc-rotor")
 NOTHING = StateSpace(
     np.zeros((0, 0)), np.zeros((0, 4)), np.zeros((4, 0)), np.zeros((4, 4))
 )  # the rotor falls

@@ -14,6 +14,7 @@ from ambrose.annexes.rotordynamics.stations import lay_out
 from ambrose.law.loop import Timing
 from ambrose.machine.file.toml import loads_machine
 from ambrose.model.static_load import magnet_coefficients
+from coarse import coarse
 
 RPM = math.pi / 30
 FILE = """
@@ -164,7 +165,7 @@ def test_the_magnets_stiffness_is_what_the_plant_does(order):
     """f = -K(jW) q with sensors at the magnets: the receptance at the magnets, inverted, is that
     of the rotor and K, coupling of axes and back-EMF included.
     """
-    machine = amb.load_machine("turboexpander")
+    machine = coarse("turboexpander")
     places = {bearing.name: bearing.position for bearing in machine.bearings}
     machine = uncontrolled = replace(
         machine,
@@ -219,7 +220,7 @@ def test_a_reviewer_sees_map_meetings_and_rigid_supports():
 
 def test_an_unstable_loop_has_its_map():
     """It needs no loop, and it is the first figure that tells why a machine is not held."""
-    machine = amb.load_machine("turboexpander")
+    machine = coarse("turboexpander")
     law = amb.design(machine, "pid")
     result = amb.lateral(machine, law, rate=1e4, tolerances=False)
     assert result.response is None and [item.name for item in result.items] == [

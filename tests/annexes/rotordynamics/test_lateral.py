@@ -946,7 +946,7 @@ def test_a_study_leaves_the_analysis_of_a_rotor_that_turns(tmp_path):
     still = amb.load_machine("seal-rig")
     write(still, None, tmp_path, print)
     assert not list(tmp_path.iterdir())
-    machine = replace(amb.load_machine("two-disc-rotor"), tolerances=())
+    machine = replace(coarse("two-disc-rotor"), tolerances=())
     write(machine, amb.design(machine, "pid"), tmp_path, print)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["lateral.html", "lateral.json"]
     assert json.loads((tmp_path / "lateral.json").read_text())["machine"] == "two-disc-rotor"
