@@ -20,12 +20,13 @@ from typing import Any, cast
 
 import numpy as np
 
-from ambrose.code.all_axes import AnyLaw, law_files
 from ambrose.code.block.block import ControlBlock, render
 from ambrose.code.block.fixed_point import in_words
 from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock
 from ambrose.code.c.code import Arithmetic, integer_table, literal, real_table
+from ambrose.code.c.synchronous import law_files
 from ambrose.code.interface import KINDS, TYPES, Interface, interface_of
+from ambrose.code.synchronous import AnyLaw
 from ambrose.core.checks import InvalidInput, invalid
 
 # The processors on which exported code can be tried: how each is compiled for, and what runs it.

@@ -12,9 +12,9 @@ from ambrose.options import READING_ERROR, STUCK_AFTER, AsItRuns, hertz, option,
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from ambrose.code.all_axes import AnyLaw
     from ambrose.code.c.code import Arithmetic, Precision
     from ambrose.code.sampled import Deployment, ScheduledDeployment
+    from ambrose.code.synchronous import AnyLaw
     from ambrose.core.sampling import Method
     from ambrose.judge.result import Synthesis
     from ambrose.law.law import Scheduling
@@ -197,7 +197,7 @@ class C(Target):
         along: Sequence[str] = (),
         made: Made | None = None,
     ) -> Files:
-        from ambrose.code.all_axes import law_files
+        from ambrose.code.c.synchronous import law_files
         from ambrose.code.processor_build import bare_metal_files
 
         files = law_files(law, self.arithmetic, lines, along)
