@@ -56,7 +56,7 @@ class Target(AsItRuns, ABC):
     """
 
     to: ClassVar[str]
-    beside: ClassVar[str] = "its interface has no key phasor"  # why it holds no synchronous blocks
+    beside: ClassVar[str] = ""  # why it holds no synchronous blocks
     name: str = option(
         "controller", "Prefix of every name in the code, a C identifier.", check=_identifier
     )
@@ -118,12 +118,13 @@ class Target(AsItRuns, ABC):
         """Raises InvalidInput where this target holds no synchronous blocks."""
         from ambrose.core.checks import invalid
 
-        raise invalid(
-            "a controller with synchronous blocks",
-            f"for the target {self.to!r}",
-            "for the target 'c', 'fmu' or 'st'",
-            f"{self.beside}; write one of these, which run both in one unit",
-        )
+        if self.beside:
+            raise invalid(
+                "a controller with synchronous blocks",
+                f"for the target {self.to!r}",
+                "for the target 'c', 'fmu' or 'st'",
+                f"{self.beside}; write one of these, which run both in one unit",
+            )
 
     def told(self, along: Scheduling) -> tuple[tuple[float | None, ...], tuple[float | None, ...]]:
         """The limits of what the code is told, of each parameter, and of their rates."""
@@ -203,9 +204,6 @@ class C(Target):
         files = law_files(law, self.arithmetic, lines, along)
         return {**files, **bare_metal_files(law, self.arithmetic)} if self.bare_metal else files
 
-    def check_beside(self) -> None:
-        """It holds them in every arithmetic that it has."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mat(Target):
@@ -250,9 +248,6 @@ class Fmu(Target):
 
         return generate_fmus(law, self.arithmetic, lines, sources_only=self.sources_only)
 
-    def check_beside(self) -> None:
-        """It holds them in every arithmetic that it has."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class St(Target):
@@ -272,9 +267,6 @@ class St(Target):
         from ambrose.code.structured_text import unit_structured_text
 
         return unit_structured_text(law, self.arithmetic, lines)
-
-    def check_beside(self) -> None:
-        """It holds them in every arithmetic that it has."""
 
 
 TARGETS: Mapping[str, type[Target]] = {kind.to: kind for kind in (C, Mat, Fmu, St)}

@@ -133,7 +133,7 @@ def build_library(
         ) from error
     if status or not code.startswith(_LIBRARIES):
         raise InvalidInput(
-            f"the C compiler {compiler} refused the code: {message or 'it made no library'}; "
+            f"the C compiler {compiler} refused the code: {message[:500] or 'it made no library'}; "
             f"{remedy}"
         )
     return code
@@ -143,24 +143,23 @@ def _run(command: Sequence[str], folder: str, time_limit: float) -> tuple[int, s
     """Exit status and message of a program; beyond the limit [s], and on Ctrl-C, all processes that
     it started end with it.
     """
-    silent = subprocess.DEVNULL
     with subprocess.Popen(
         command,
         cwd=folder,
-        stdin=silent,
-        stdout=silent,
-        stderr=subprocess.PIPE,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
         start_new_session=True,
     ) as process:
         try:
-            _, message = process.communicate(timeout=time_limit)
+            message, _ = process.communicate(timeout=time_limit)
         except BaseException:
             with suppress(OSError):
                 os.killpg(
                     process.pid, signal.SIGKILL
                 ) if sys.platform != "win32" else process.kill()
             raise
-    return process.returncode, message.decode("utf-8", "replace").strip()[:500]
+    return process.returncode, message.decode("utf-8", "replace").strip()
 
 
 _FLAGS = ("-Wall", "-Wextra", "-pedantic", "-Werror", "-ffp-contract=off")
@@ -633,27 +632,13 @@ def run_self_test(sources: Sequence[Path]) -> SelfTest:
         )
     with tempfile.TemporaryDirectory(prefix="ambrose-") as folder:
         files = [str(Path(path).resolve()) for path in sources]
-        built = _call([compiler, *_WORDS, *files, "-lm"], folder)
-        ran = _call([str(Path(folder, "test"))], folder) if built.returncode == 0 else built
-    passed = ran.returncode == 0
-    text = (ran.stdout + ran.stderr)[-_SHOWN:].strip()
-    return SelfTest(
-        passed, text or ("every sample agrees" if passed else "it fails without a word")
-    )
-
-
-def _call(words: list[str], folder: str) -> subprocess.CompletedProcess[str]:
-    try:
-        return subprocess.run(
-            words,
-            cwd=folder,
-            capture_output=True,
-            encoding="utf-8",
-            errors="replace",
-            timeout=_SECONDS,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        raise InvalidInput(
-            f"the self-test took longer than {_SECONDS:g} s and was ended; run it by hand"
-        ) from None
+        try:
+            status, text = _run([compiler, *_WORDS, *files, "-lm"], folder, _SECONDS)
+            if not status:
+                status, text = _run([str(Path(folder, "test"))], folder, _SECONDS)
+        except subprocess.TimeoutExpired:
+            raise InvalidInput(
+                f"the self-test took longer than {_SECONDS:g} s and was ended; run it by hand"
+            ) from None
+    said = "it fails without a word" if status else "every sample agrees"
+    return SelfTest(not status, text[-_SHOWN:] or said)
