@@ -11,8 +11,8 @@ import pytest
 from scipy.optimize import brentq
 
 import ambrose as amb
-from ambrose.code.all_axes import CompiledAxes
 from ambrose.code.block.run import run_of
+from ambrose.code.c.compiled import CompiledAxes
 from ambrose.core.checks import InvalidInput
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
 from ambrose.report.record import record_page

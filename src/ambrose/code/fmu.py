@@ -18,12 +18,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from ambrose.code.all_axes import AnyLaw, law_files
 from ambrose.code.block.block import ControlBlock, check_identifier, render
 from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.c.code import Arithmetic, block_facts
 from ambrose.code.c.compiled import COMPILERS, build_library, build_probe, find_compiler
+from ambrose.code.c.synchronous import law_files
 from ambrose.code.interface import interface_of, parts_of
+from ambrose.code.synchronous import AnyLaw
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.version import __version__
 
@@ -85,9 +86,9 @@ def transfers(law: AnyLaw) -> bool:
 
 def flags(block: AnyBlock) -> tuple[tuple[str, str], ...]:
     """The status flags in the order of their bits, each with what it says."""
-    if not isinstance(block, ScheduledBlock):
+    if not block.told:
         return FLAGS
-    name = block.along.name
+    name = block.told[0]
     return (
         *FLAGS,
         ("clamped", f"the {name} is outside the range; the law is that of the nearer end"),
@@ -164,8 +165,8 @@ def references(law: AnyLaw) -> dict[str, int]:
     first |= {"GIVEN": f"given_{block.outputs[0]}", "CURRENT": block.outputs[0]}
     first |= {name.upper(): name for name, _ in FLAGS}
     first["LAST"] = flags(block)[-1][0]
-    if isinstance(block, ScheduledBlock):
-        first["TOLD"] = block.along.name
+    if block.told:
+        first["TOLD"] = block.told[0]
     if law.beside:
         first |= {"ANGLE": "angle", "TOUCHING": "contact", "BLOCKS_OFF": "blocks_off"}
         first |= {"FAULT": FAULTS[0][0], "FAULT_LAST": FAULTS[-1][0]}

@@ -15,7 +15,7 @@ from typing import Any, cast
 import numpy as np
 
 from ambrose.code.block.block import ControlBlock
-from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock
+from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.c.compiled import CompiledBlock, CompiledSchedule, Words
 from ambrose.code.pipeline import unverified_block
 from ambrose.code.processor_build import Link, Processor, Unit, build, processor_named, unit_of
@@ -118,7 +118,7 @@ class TargetSchedule(TargetProgram):
         super().__init__(unit, processor, contraction=contraction)
         self.told: Any = self.block.range[0]
         self.schedule(self.told)
-        if isinstance(self.block, SupervisedBlock):
+        if self.block.supervised:
             self._row["estimate"], self._row["half_width"] = math.nan, math.inf  # none
 
     @property
@@ -132,9 +132,7 @@ class TargetSchedule(TargetProgram):
     @property
     def system(self) -> StateSpace:
         """The law of the next step."""
-        supervised = isinstance(self.block, SupervisedBlock)
-        lost = supervised and math.isnan(self.told)
-        return self.block.at(self.block.range[0] if lost else self.told)
+        return self.block.at(self.block.known(self.told))
 
     def __call__(self, value: Any) -> StateSpace:
         return self.block.at(value)

@@ -248,8 +248,7 @@ def _verification(deployment: Deployment | ScheduledDeployment) -> Any:
     """One struct per operating point, and over the tolerances: stable, and every quantity with its
     value and limit.
     """
-    own = deployment.points if isinstance(deployment, ScheduledDeployment) else ()
-    checks = [*deployment.checks, *own, *deployment.box]
+    checks = [*deployment.checks, *deployment.points, *deployment.box]
     if not checks:
         return np.zeros(_NONE)
     names = ("label", "stable", "quantity", "value", "unit", "limit")

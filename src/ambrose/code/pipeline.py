@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -14,7 +13,6 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.code.all_axes import AllAxes, AnyLaw
 from ambrose.code.block.block import ControlBlock, build_block, check_limits
 from ambrose.code.block.cascade import build_cascade
 from ambrose.code.block.scheduled import (
@@ -35,10 +33,10 @@ from ambrose.code.sampled import (
     deploy,
     deploy_scheduled,
     parameter_difference,
-    sensitivity_peak,
     unmet_limits,
+    verdict,
 )
-from ambrose.code.synchronous import Base, Law, RunUnit, in_order
+from ambrose.code.synchronous import AllAxes, AnyLaw, Base, Law, RunUnit, in_order
 from ambrose.code.targets import TARGETS, C, Files, Fmu, Target
 from ambrose.core.checks import InvalidInput, UnstableSystem, invalid, same_clock
 from ambrose.core.presentation import Presented, with_unit
@@ -73,54 +71,17 @@ def provenance_lines(
         f"ambrose {__version__}.",
         f"Machine    {made.machine or 'not recorded'}, hash {made.machine_hash or 'not recorded'}.",
     ]
-    if isinstance(deployment, ScheduledDeployment):
-        lines += _over_range(deployment)
-    else:
-        lines.append(
-            f"Sampled    by {deployment.method}, {deployment.delay} samples of computing delay in "
-            "the loop."
-        )
-        lines += [f"Verified   {c.label}: {_verdict(c)}." for c in deployment.checks]
+    lines += deployment.lines()
     if not deployment.checks:
         lines.append("Verified   NOT: the sampled loop was not examined.")
     for box in deployment.box:
         count, label = box["sampled.stability.box"], box.label.removesuffix(", sampled")
         lines.append(f"Verified   {label}: {count.value:.0f} unstable of {count.detail}.")
-    if isinstance(deployment, ScheduledDeployment):
-        lines += [
-            f"Outside    the range, clamped, {c.label}: {_verdict(c)}." for c in deployment.outside
-        ]
+    lines += [
+        f"Outside    the range, clamped, {c.label}: {verdict(c)}." for c in deployment.outside
+    ]
     lines += [f"Forced     although {problem}." for problem in deployment.problems]
     return lines + [f"Unmet      {text}." for text in unmet_limits(deployment)]
-
-
-def _over_range(deployment: ScheduledDeployment) -> list[str]:
-    (low, high), along = deployment.sampled.range, deployment.along
-    lines = [
-        f"Sampled    by {deployment.method} at every grid point, computing delay in the loop "
-        f"[samples]: {deployment.delay}.",
-        f"Between    grid points within {deployment.deviation:.2g} of the gain of the sampled "
-        "continuous controller (worst at "
-        f"{along.number(deployment.deviation_at)}).",
-    ]
-    if deployment.checks:
-        stable = sum(c.stable for c in deployment.checks)
-        peak, where = sensitivity_peak(deployment.checks)
-        lowest = ", ".join(f"{value:.6g}" for value in (low if along.parts else (low,)))
-        lines.append(
-            f"Verified   stable at {stable} of {len(deployment.checks)} frozen {along.plural} "
-            f"from {lowest} to "
-            f"{along.number(high)}, sensitivity peak {peak:.3g} (at {where})."
-        )
-    return lines + [f"Verified   {c.label}: {_verdict(c)}." for c in deployment.points]
-
-
-def _verdict(checks: Checks) -> str:
-    if not checks.stable:
-        return "UNSTABLE"
-    with suppress(KeyError):
-        return f"stable, sensitivity peak {checks['sensitivity.output.max'].value:.3g}"
-    return "stable"
 
 
 # Synchronous blocks of an export: which there are, their verdict in the loop as it will run, and
@@ -303,6 +264,13 @@ class Delivery(Presented):
     trial: Trial | None = None
     axial: AxialPart | None = None
 
+    @property
+    def _parts(self) -> list[tuple[str, Deployment]]:
+        """What runs besides, and what it is called."""
+        axial = None if self.axial is None else self.axial.deployment
+        both = (("of the fallback", self.fallback), ("along the shaft", axial))
+        return [(who, part) for who, part in both if part is not None]
+
     def facts(self) -> Mapping[str, Any]:
         """Target, verdict, size, rate and files."""
         facts = {
@@ -327,8 +295,7 @@ class Delivery(Presented):
         return (
             *self.deployment.problems,
             *diverging(self.synchronous),
-            *_of_fallback(self.fallback.problems if self.fallback else ()),
-            *_of_axis(self.axial.deployment.problems if self.axial else ()),
+            *(f"{who}: {what}" for who, part in self._parts for what in part.problems),
         )
 
     @property
@@ -339,8 +306,7 @@ class Delivery(Presented):
         return (
             *unmet_limits(self.deployment),
             *missed_beside(self.synchronous),
-            *_of_fallback(unmet_limits(self.fallback) if self.fallback else ()),
-            *_of_axis(unmet_limits(self.axial.deployment) if self.axial else ()),
+            *(f"{who}: {what}" for who, part in self._parts for what in unmet_limits(part)),
             *(self.trial.problems if self.trial else ()),
         )
 
@@ -358,14 +324,6 @@ class Delivery(Presented):
             **({"not_alike": self.not_alike} if self.not_alike else {}),
             **({} if self.trial is None else {"trial": self.trial.to_dict()}),
         }
-
-
-def _of_axis(sentences: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(f"along the shaft: {sentence}" for sentence in sentences)
-
-
-def _of_fallback(sentences: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(f"of the fallback: {sentence}" for sentence in sentences)
 
 
 def export(

@@ -20,12 +20,13 @@ from typing import Any, cast
 
 import numpy as np
 
-from ambrose.code.all_axes import AnyLaw, law_files
 from ambrose.code.block.block import ControlBlock, render
 from ambrose.code.block.fixed_point import in_words
 from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock
 from ambrose.code.c.code import Arithmetic, integer_table, literal, real_table
+from ambrose.code.c.synchronous import law_files
 from ambrose.code.interface import KINDS, TYPES, Interface, interface_of
+from ambrose.code.synchronous import AnyLaw
 from ambrose.core.checks import InvalidInput, invalid
 
 # The processors on which exported code can be tried: how each is compiled for, and what runs it.
@@ -96,15 +97,7 @@ def mantissa(compiler: str, flags: tuple[str, ...], kind: str) -> int:
     """Bits of the mantissa of double ("DBL") or float ("FLT") as a compiler has them. Raises
     InvalidInput for a compiler that does not answer.
     """
-    command = [compiler, *flags, "-dM", "-E", "-x", "c", "-"]
-    try:
-        told = subprocess.run(
-            command, input="", capture_output=True, text=True, timeout=_PROBE_TIME, check=True
-        ).stdout
-    except (OSError, subprocess.SubprocessError) as error:
-        raise InvalidInput(
-            f"the compiler {compiler} does not answer ({error}); install another one"
-        ) from error
+    told = _answer([compiler, *flags, "-dM", "-E", "-x", "c", "-"])
     found = re.search(rf"#define __{kind}_MANT_DIG__ (\d+)", told)
     return int(found[1]) if found else 0
 
@@ -113,13 +106,17 @@ def version_of(command: str) -> str:
     """The first line that a program says of its version. Raises InvalidInput for one that does not
     answer.
     """
+    return (_answer([command, "--version"]).splitlines() or [command])[0].strip()
+
+
+def _answer(command: Sequence[str]) -> str:
+    """What a program says at once. Raises InvalidInput for one that does not answer."""
     try:
-        told = subprocess.run(
-            [command, "--version"], capture_output=True, text=True, timeout=_PROBE_TIME, check=False
-        )
+        return subprocess.run(
+            command, input="", capture_output=True, text=True, timeout=_PROBE_TIME, check=True
+        ).stdout
     except (OSError, subprocess.SubprocessError) as error:
-        raise InvalidInput(f"{command} does not answer ({error}); install it anew") from error
-    return (told.stdout.splitlines() or [command])[0].strip()
+        raise InvalidInput(f"{command[0]} does not answer ({error}); install it anew") from error
 
 
 _LISTED = (

@@ -18,9 +18,10 @@ import re
 import struct
 import zlib
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import zip_longest
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -197,8 +198,11 @@ class _Deployed(Presented):
 
     sizes: of the blocks of the modal form; delay [samples]; checks: the verification at every
     point; box: over the tolerances (empty: none); problems: what speaks against deploying the
-    controller, one sentence each.
+    controller, one sentence each. Of a schedule besides points, outside: the verification at the
+    machine's own operating points in the range, and at the others, where the code clamps.
     """
+
+    swept: ClassVar[bool] = False  # whether checks are over a range
 
     sizes: tuple[int, ...]
     delay: int
@@ -206,6 +210,12 @@ class _Deployed(Presented):
     checks: tuple[Checks, ...] = ()
     box: tuple[Checks, ...] = ()
     problems: tuple[str, ...] = ()
+    points: tuple[Checks, ...] = ()
+    outside: tuple[Checks, ...] = ()
+
+    def lines(self) -> list[str]:
+        """How it was sampled, and what it was verified on, one line each."""
+        raise NotImplementedError
 
     @property
     def verified(self) -> bool:
@@ -242,6 +252,12 @@ class Deployment(_Deployed):
     increment: np.ndarray
     source: StateSpace
 
+    def lines(self) -> list[str]:
+        return [
+            f"Sampled    by {self.method}, {self.delay} samples of computing delay in the loop.",
+            *(f"Verified   {c.label}: {verdict(c)}." for c in self.checks),
+        ]
+
     @property
     def in_loop(self) -> StateSpace:
         """The controller with its computing delay."""
@@ -256,8 +272,7 @@ class ScheduledDeployment(_Deployed):
     increments (k, n, n): A - I with all its digits; source: what it was made from; deviation [-]:
     largest distance, half-way between grid points, from the sampled continuous interpolation,
     relative to its gain at the same frequency, at deviation_at. values, checks: the verification
-    over the range; points: at the machine's own operating points in the range; outside: the others,
-    where the code clamps; box: over the tolerances at the lowest, a middle and the highest value;
+    over the range; box: over the tolerances at the lowest, a middle and the highest value;
     sizes: of the blocks of the states at the middle of the grid.
     """
 
@@ -267,8 +282,28 @@ class ScheduledDeployment(_Deployed):
     deviation: float
     deviation_at: Any
     values: Sequence[Any]
-    points: tuple[Checks, ...] = ()
-    outside: tuple[Checks, ...] = ()
+
+    swept: ClassVar[bool] = True
+
+    def lines(self) -> list[str]:
+        (low, high), along = self.sampled.range, self.along
+        lines = [
+            f"Sampled    by {self.method} at every grid point, computing delay in the loop "
+            f"[samples]: {self.delay}.",
+            f"Between    grid points within {self.deviation:.2g} of the gain of the sampled "
+            "continuous controller (worst at "
+            f"{along.number(self.deviation_at)}).",
+        ]
+        if self.checks:
+            stable = sum(c.stable for c in self.checks)
+            peak, where = sensitivity_peak(self.checks)
+            lowest = ", ".join(f"{value:.6g}" for value in (low if along.parts else (low,)))
+            lines.append(
+                f"Verified   stable at {stable} of {len(self.checks)} frozen {along.plural} "
+                f"from {lowest} to "
+                f"{along.number(high)}, sensitivity peak {peak:.3g} (at {where})."
+            )
+        return lines + [f"Verified   {c.label}: {verdict(c)}." for c in self.points]
 
     @property
     def along(self) -> Scheduling:
@@ -542,10 +577,8 @@ def unmet_limits(deployment: Deployment | ScheduledDeployment) -> tuple[str, ...
     """The limits that the stable sampled loop misses, in words; they warn and do not stop a
     deployment. Over a schedule each quantity once, where it is worst.
     """
-    scheduled = isinstance(deployment, ScheduledDeployment)
-    points = deployment.points if isinstance(deployment, ScheduledDeployment) else ()
     worst: dict[str, tuple[float, str, int]] = {}
-    for checks in (*deployment.checks, *points, *deployment.box):
+    for checks in (*deployment.checks, *deployment.points, *deployment.box):
         for check in checks.checks:
             if check.passed is not False or check.limit is None:
                 continue
@@ -556,14 +589,24 @@ def unmet_limits(deployment: Deployment | ScheduledDeployment) -> tuple[str, ...
             text = (
                 f"{checks.label}: {check.title} {value} (limit {check.relation} {check.limit:.4g})"
             )
-            key = check.name if scheduled else text
+            key = check.name if deployment.swept else text
             most, worst_text, count = worst.get(key, (-np.inf, "", 0))
             worst[key] = (
                 (excess, text, count + 1) if excess > most else (most, worst_text, count + 1)
             )
     return tuple(
-        f"{text}, worst of {count}" if scheduled else text for _, text, count in worst.values()
+        f"{text}, worst of {count}" if deployment.swept else text
+        for _, text, count in worst.values()
     )
+
+
+def verdict(checks: Checks) -> str:
+    """Of one point, in words."""
+    if not checks.stable:
+        return "UNSTABLE"
+    with suppress(KeyError):
+        return f"stable, sensitivity peak {checks['sensitivity.output.max'].value:.3g}"
+    return "stable"
 
 
 def sensitivity_peak(checks: Sequence[Checks]) -> tuple[float, str]:

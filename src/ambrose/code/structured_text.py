@@ -12,12 +12,12 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import singledispatch
 from typing import Any, get_args
 
 import numpy as np
 
-from ambrose.code.all_axes import AllAxes, AnyLaw
-from ambrose.code.block.block import ControlBlock, as_comment, render
+from ambrose.code.block.block import Block, ControlBlock, as_comment, render
 from ambrose.code.block.fixed_point import MANTISSA, floating_error
 from ambrose.code.block.run import (
     FLOOR,
@@ -25,7 +25,7 @@ from ambrose.code.block.run import (
     as_csv,
     vectors_of,
 )
-from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock
+from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.c.code import (
     Precision,
     block_facts,
@@ -35,7 +35,7 @@ from ambrose.code.c.code import (
     scheduled_tolerance,
 )
 from ambrose.code.c.synchronous import FAR, NEWTON
-from ambrose.code.synchronous import EVERY, SHARE, RunUnit, run_unit, run_up_of
+from ambrose.code.synchronous import EVERY, SHARE, AnyLaw, RunUnit, run_unit, run_up_of
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.law.synchronous_block import DECAY, JUMP, LOST_TURNS, SECTORS, BlockLaw, circle
 
@@ -116,8 +116,8 @@ def check_names(block: ControlBlock | ScheduledBlock, more: frozenset[str] = fro
     keyword, none of ours, none of ``more``. Raises InvalidInput.
     """
     own = more | frozenset(_OWN.split()) | {d["name"] for d in _diagonals(block)}
-    if isinstance(block, ScheduledBlock):
-        own |= frozenset(_OWN_SCHEDULED.split()) | {block.along.name, f"{block.along.name}_held"}
+    if block.told:
+        own |= frozenset(_OWN_SCHEDULED.split()) | {block.told[0], f"{block.told[0]}_held"}
     checked = [("the name of the block", block.name, "give another --name")]
     checked += [
         ("a signal's name", s, "give the controller's signals other names")
@@ -299,7 +299,7 @@ def generate_run_structured_text(
             "structured text has no fixed point here; write C",
         )
     base = unit.base
-    if isinstance(base, SupervisedBlock):
+    if base.supervised:
         raise InvalidInput(
             "structured text has no supervision of a schedule by a fallback; write C, which has it"
         )
@@ -316,17 +316,18 @@ def generate_run_structured_text(
     }
 
 
+@singledispatch
 def unit_structured_text(
     law: AnyLaw, precision: Precision = "double", provenance: Sequence[str] = ()
 ) -> dict[str, str]:
     """The files of a block, or of one with synchronous blocks beside it. Raises InvalidInput, also
     for a unit of all axes.
     """
-    if isinstance(law, AllAxes):
-        raise InvalidInput("structured text has no unit of all axes; write C or an FMU")
-    if isinstance(law, RunUnit):
-        return generate_run_structured_text(law, precision, provenance)
-    return generate_structured_text(law, precision, provenance)
+    raise InvalidInput("structured text has no unit of all axes; write C or an FMU")
+
+
+unit_structured_text.register(RunUnit, generate_run_structured_text)
+unit_structured_text.register(Block, generate_structured_text)
 
 
 _OF_BLOCK = ("speeds", "drive_re", "drive_im", "amplitude_limit")
@@ -347,8 +348,8 @@ def _facts(unit: RunUnit, precision: Precision) -> dict[str, Any]:
         tables = (block.speeds, block.drive.real, block.drive.imag, block.limit)
         arrays |= {f"{name}_{k}": x for name, x in zip(_OF_BLOCK, tables, strict=True)}
     flags = list(_FLAGS)
-    if isinstance(base, ScheduledBlock):
-        flags += ["clamped", f"{base.along.name}_held", "behind"]
+    if base.told:
+        flags += ["clamped", f"{base.told[0]}_held", "behind"]
     return {
         "n": len(base.inputs),
         "count": len(law.blocks),
@@ -431,8 +432,8 @@ def _run_test(unit: RunUnit, precision: Precision) -> dict[str, Any]:
     valid = np.ones((count, n), bool)
     valid[within["invalid"], 0] = False
 
-    middle = (base.grid[0] + base.grid[-1]) / 2 if isinstance(base, ScheduledBlock) else 0.0
-    told = np.full(count, middle) if isinstance(base, ScheduledBlock) else None
+    middle = sum(base.middle())  # of the one parameter; else of none
+    told = np.full(count, middle) if base.told else None
     enabled = np.logical_not(within["off"])
     run = run_unit(unit, pulses, errors, told, valid, within["contact"], enabled)
     shown, largest = slice(EVERY - 1, None, EVERY), np.abs(run.currents).max(axis=0)

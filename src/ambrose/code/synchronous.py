@@ -1,5 +1,5 @@
-"""A controller block with synchronous blocks beside it, as one unit: its twin in Python, sample by
-sample.
+"""What a unit runs: a controller block, synchronous blocks beside it, an axial block; the first two
+as one twin in Python, sample by sample.
 
 Per sample, with the errors e as measured:
 
@@ -139,6 +139,45 @@ class RunUnit:
 
 
 Law = Base | RunUnit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AllAxes:
+    """What one unit of all axes runs: the radial law, and the block of the axis along the shaft,
+    with the same sample time and delay, under its own name. Raises InvalidInput for others.
+
+    The two are decoupled and judged apart, each on its own plant; they share the sample and the
+    processor. One step takes the errors of the radial axes, then the axial one, and gives the
+    currents in the same order. Each part keeps its own guards: a lost axial reading is held by the
+    axial part and never seen by the radial one.
+    """
+
+    radial: Law
+    axial: ControlBlock
+
+    @property
+    def base(self) -> ControlBlock | ScheduledBlock:
+        return self.radial.base
+
+    @property
+    def beside(self) -> SynchronousLaw | None:
+        return self.radial.beside
+
+    def single(self) -> AllAxes:
+        """With the tables of both parts in single precision."""
+        return AllAxes(self.radial.single(), self.axial.single())
+
+    def __post_init__(self) -> None:
+        base, axial = self.radial.base, self.axial
+        if (base.sample_time, base.delay) != (axial.sample_time, axial.delay):
+            clock = f"{axial.sample_time:g} s, {axial.delay} late"
+            asked = f"that of the radial one, {base.sample_time:g} s, {base.delay} late"
+            raise invalid("the axial block's clock", clock, asked, "export both together")
+        if base.name == axial.name:
+            raise invalid("the axial block's name", axial.name, "its own", "export both together")
+
+
+AnyLaw = Law | AllAxes
 
 
 @dataclass(frozen=True, slots=True, eq=False)

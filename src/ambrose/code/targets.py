@@ -12,9 +12,9 @@ from ambrose.options import READING_ERROR, STUCK_AFTER, AsItRuns, hertz, option,
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from ambrose.code.all_axes import AnyLaw
     from ambrose.code.c.code import Arithmetic, Precision
     from ambrose.code.sampled import Deployment, ScheduledDeployment
+    from ambrose.code.synchronous import AnyLaw
     from ambrose.core.sampling import Method
     from ambrose.judge.result import Synthesis
     from ambrose.law.law import Scheduling
@@ -56,7 +56,7 @@ class Target(AsItRuns, ABC):
     """
 
     to: ClassVar[str]
-    beside: ClassVar[str] = "its interface has no key phasor"  # why it holds no synchronous blocks
+    beside: ClassVar[str] = ""  # why it holds no synchronous blocks
     name: str = option(
         "controller", "Prefix of every name in the code, a C identifier.", check=_identifier
     )
@@ -119,12 +119,13 @@ class Target(AsItRuns, ABC):
         """Raises InvalidInput where this target holds no synchronous blocks."""
         from ambrose.core.checks import invalid
 
-        raise invalid(
-            "a controller with synchronous blocks",
-            f"for the target {self.to!r}",
-            "for the target 'c', 'fmu' or 'st'",
-            f"{self.beside}; write one of these, which run both in one unit",
-        )
+        if self.beside:
+            raise invalid(
+                "a controller with synchronous blocks",
+                f"for the target {self.to!r}",
+                "for the target 'c', 'fmu' or 'st'",
+                f"{self.beside}; write one of these, which run both in one unit",
+            )
 
     def told(self, along: Scheduling) -> tuple[tuple[float | None, ...], tuple[float | None, ...]]:
         """The limits of what the code is told, of each parameter, and of their rates."""
@@ -198,14 +199,11 @@ class C(Target):
         along: Sequence[str] = (),
         made: Made | None = None,
     ) -> Files:
-        from ambrose.code.all_axes import law_files
+        from ambrose.code.c.synchronous import law_files
         from ambrose.code.processor_build import bare_metal_files
 
         files = law_files(law, self.arithmetic, lines, along)
         return {**files, **bare_metal_files(law, self.arithmetic)} if self.bare_metal else files
-
-    def check_beside(self) -> None:
-        """It holds them in every arithmetic that it has."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -251,9 +249,6 @@ class Fmu(Target):
 
         return generate_fmus(law, self.arithmetic, lines, sources_only=self.sources_only)
 
-    def check_beside(self) -> None:
-        """It holds them in every arithmetic that it has."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class St(Target):
@@ -273,9 +268,6 @@ class St(Target):
         from ambrose.code.structured_text import unit_structured_text
 
         return unit_structured_text(law, self.arithmetic, lines)
-
-    def check_beside(self) -> None:
-        """It holds them in every arithmetic that it has."""
 
 
 TARGETS: Mapping[str, type[Target]] = {kind.to: kind for kind in (C, Mat, Fmu, St)}

@@ -70,7 +70,7 @@ def parts_of(controller: LawLike, axial: LawLike | None) -> Parts | None:
     if program is not None or beside.program is not None:
         raise InvalidInput(
             "a program of the radial axes alone does not run with an axial controller; compile "
-            "both together (code.compiled_axes.CompiledAxes), or give their laws"
+            "both together (code.c.compiled.CompiledAxes), or give their laws"
         )
     if law.scheduled_over is not None or beside.scheduled_over is not None:
         raise InvalidInput(

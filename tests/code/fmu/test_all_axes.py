@@ -10,11 +10,11 @@ from fmpy.validation import validate_fmu
 
 import ambrose as amb
 from ambrose import StateSpace
-from ambrose.code.all_axes import AllAxes
 from ambrose.code.block.block import build_block
 from ambrose.code.block.run import run_of
 from ambrose.code.fmu import axial_flags, references, variables
 from ambrose.code.sampled import deploy
+from ambrose.code.synchronous import AllAxes
 from fmu_player import Player
 from needs import needs
 

@@ -199,6 +199,7 @@ class Block:
     windup_time: float
 
     number: ClassVar[Any] = float  # of its errors, currents and states
+    supervised: ClassVar[bool] = False  # whether a fixed law takes over from it
 
     @property
     def n_states(self) -> int:

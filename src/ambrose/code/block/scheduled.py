@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from itertools import combinations
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import scipy.linalg as sla
@@ -444,6 +444,12 @@ class ScheduledBlock(Block):
             value
         )
 
+    def known(self, told: Any) -> Any:
+        """Where the law is taken for what a step is told: where that is nothing, which is no error
+        of a supervised block, at the lowest value.
+        """
+        return self.range[0] if self.supervised and np.isnan(told) else told
+
     def single(self) -> Self:
         """The block with limits and grid that single precision holds. Raises InvalidInput where
         grid points fall together.
@@ -753,6 +759,8 @@ class SupervisedBlock(ScheduledBlock):
     """What runs: a scheduled block, the fixed one that takes over, and what a reading has to keep
     to.
     """
+
+    supervised: ClassVar[bool] = True
 
     fallback: ControlBlock
     watch: Limits

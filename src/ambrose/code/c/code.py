@@ -292,7 +292,7 @@ _DOUBLE_TOLERANCE = 1e-12  # of the current asked for
 
 
 def generate(
-    block: ControlBlock | ScheduledBlock,
+    block: Block,
     arithmetic: Arithmetic = "double",
     provenance: Sequence[str] = (),
     largest_error: float = LARGEST_ERROR,
@@ -404,7 +404,7 @@ def scheduled_tolerance(block: ScheduledBlock, run: Vectors, arithmetic: str) ->
 
 def write_code(
     directory: str | Path,
-    block: ControlBlock | ScheduledBlock,
+    block: Block,
     arithmetic: Arithmetic = "double",
     provenance: Sequence[str] = (),
     largest_error: float = LARGEST_ERROR,
@@ -456,9 +456,7 @@ def block_facts(block: Block) -> dict[str, Any]:
     }
 
 
-def _facts(
-    block: ControlBlock | ScheduledBlock, arithmetic: str, provenance: Sequence[str]
-) -> dict[str, Any]:
+def _facts(block: Block, arithmetic: str, provenance: Sequence[str]) -> dict[str, Any]:
     """What header, source, self-test and report share."""
     word, (real, stored) = WORDS.get(arithmetic, 0), TYPES[arithmetic]
     floating = {"double": "double precision", "float": "single precision"}

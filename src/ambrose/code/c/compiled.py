@@ -26,11 +26,13 @@ import numpy as np
 
 from ambrose.code.block.block import REASON_AT, Block, ControlBlock
 from ambrose.code.block.fixed_point import in_words
-from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock
-from ambrose.code.c.code import WORDS, Arithmetic, Precision, generate
+from ambrose.code.block.scheduled import ScheduledBlock
+from ambrose.code.c.code import WORDS, Arithmetic, Precision
+from ambrose.code.c.synchronous import law_files
 from ambrose.code.interface import KINDS, TYPES, Interface, Law, interface_of, parts_of
+from ambrose.code.synchronous import AllAxes
 from ambrose.core.checks import InvalidInput, check_shape, invalid
-from ambrose.core.statespace import StateSpace
+from ambrose.core.statespace import StateSpace, append
 from ambrose.law.supervision import Fault
 
 # The C compiler of this computer.
@@ -131,7 +133,7 @@ def build_library(
         ) from error
     if status or not code.startswith(_LIBRARIES):
         raise InvalidInput(
-            f"the C compiler {compiler} refused the code: {message or 'it made no library'}; "
+            f"the C compiler {compiler} refused the code: {message[:500] or 'it made no library'}; "
             f"{remedy}"
         )
     return code
@@ -141,24 +143,23 @@ def _run(command: Sequence[str], folder: str, time_limit: float) -> tuple[int, s
     """Exit status and message of a program; beyond the limit [s], and on Ctrl-C, all processes that
     it started end with it.
     """
-    silent = subprocess.DEVNULL
     with subprocess.Popen(
         command,
         cwd=folder,
-        stdin=silent,
-        stdout=silent,
-        stderr=subprocess.PIPE,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
         start_new_session=True,
     ) as process:
         try:
-            _, message = process.communicate(timeout=time_limit)
+            message, _ = process.communicate(timeout=time_limit)
         except BaseException:
             with suppress(OSError):
                 os.killpg(
                     process.pid, signal.SIGKILL
                 ) if sys.platform != "win32" else process.kill()
             raise
-    return process.returncode, message.decode("utf-8", "replace").strip()[:500]
+    return process.returncode, message.decode("utf-8", "replace").strip()
 
 
 _FLAGS = ("-Wall", "-Wextra", "-pedantic", "-Werror", "-ffp-contract=off")
@@ -319,7 +320,6 @@ class CompiledLaw(Generic[L]):
     def __init__(
         self,
         law: L,
-        files: Mapping[str, str],
         arithmetic: Arithmetic = "double",
         compiler: str | None = None,
     ) -> None:
@@ -328,7 +328,8 @@ class CompiledLaw(Generic[L]):
         self.blocks: tuple[Any, ...] = parts_of(law)
         self._words = tuple(Words.of(part, arithmetic) for part in self.blocks)
         interface = interface_of(law, arithmetic)
-        self._code = Loaded(interface, {**files, "call.c": self._call(interface)}, compiler)
+        files = {**law_files(law, arithmetic), "call.c": self._call(interface)}
+        self._code = Loaded(interface, files, compiler)
         self._running = _Running(self._code.address, (0.0, 0.0, math.nan, math.inf))
         self._step = self._code.library["loaded_call"]
         self._step.argtypes = (ctypes.c_void_p,) * 4
@@ -420,7 +421,7 @@ class _CompiledBlock(CompiledLaw[B]):
         if not isinstance(cast(object, block), Block):
             remedy = "build_block and build_scheduled_block make one"
             raise invalid("block", f"of type {type(block).__name__}", "a controller block", remedy)
-        super().__init__(block, generate(block, arithmetic), arithmetic, compiler)
+        super().__init__(block, arithmetic, compiler)
 
     def track(self, errors: np.ndarray, currents: np.ndarray) -> None:
         """Bumpless transfer to errors (m,) [m] and currents (p,) [A]. Raises InvalidInput for a
@@ -484,10 +485,7 @@ class CompiledSchedule(_CompiledBlock[ScheduledBlock]):
     @property
     def system(self) -> StateSpace:
         """The law of the next step."""
-        supervised = isinstance(self.block, SupervisedBlock)  # to be told nothing is no error there
-        return self.block.at(
-            self.block.range[0] if supervised and math.isnan(self.told) else self.told
-        )
+        return self.block.at(self.block.known(self.told))
 
     def __call__(self, value: Any) -> StateSpace:
         return self.block.at(value)
@@ -508,7 +506,7 @@ class CompiledSchedule(_CompiledBlock[ScheduledBlock]):
     @property
     def fault(self) -> Fault:
         """Of a supervised block: why the last reading is not trusted."""
-        return Fault(self.status >> REASON_AT & 7 if isinstance(self.block, SupervisedBlock) else 0)
+        return Fault(self.status >> REASON_AT & 7 if self.block.supervised else 0)
 
     def schedule(self, value: Any) -> None:
         """Speed [rad/s] or pressure [Pa] of the next step, or both; NaN: not known."""
@@ -525,6 +523,40 @@ class CompiledSchedule(_CompiledBlock[ScheduledBlock]):
             self.schedule(value)
             currents[k] = self.step(e[k])
         return currents
+
+
+class CompiledAxes(CompiledLaw[AllAxes]):
+    """A radial and an axial block as one compiled function, a ``law.law.AllAxesProgram``: what
+    ``export --axial`` writes, in place of a controller on the rig.
+    """
+
+    def __init__(
+        self,
+        radial: ControlBlock,
+        axial: ControlBlock,
+        arithmetic: Arithmetic = "double",
+        compiler: str | None = None,
+    ) -> None:
+        """Compiles the code. Raises InvalidInput where there is no C compiler, where it fails, or
+        the two have not one clock and two names.
+        """
+        for block in (radial, axial):
+            if not isinstance(cast(object, block), ControlBlock):
+                remedy = "give the blocks of an export: done.block, done.axial.block"
+                kind = f"of type {type(block).__name__}"
+                raise invalid("a block", kind, "a fixed controller block", remedy)
+        super().__init__(AllAxes(radial, axial), arithmetic, compiler)
+
+    @property
+    def parts(self) -> tuple[StateSpace, StateSpace]:
+        """The laws of the radial axes and of the one along the shaft, in the code's states."""
+        radial, axial = self.blocks
+        return radial.system, axial.system
+
+    @property
+    def system(self) -> StateSpace:
+        """Both side by side."""
+        return append(*self.parts)
 
 
 def read_law(code: CompiledBlock | CompiledSchedule, at: Any = None) -> StateSpace:
@@ -600,27 +632,13 @@ def run_self_test(sources: Sequence[Path]) -> SelfTest:
         )
     with tempfile.TemporaryDirectory(prefix="ambrose-") as folder:
         files = [str(Path(path).resolve()) for path in sources]
-        built = _call([compiler, *_WORDS, *files, "-lm"], folder)
-        ran = _call([str(Path(folder, "test"))], folder) if built.returncode == 0 else built
-    passed = ran.returncode == 0
-    text = (ran.stdout + ran.stderr)[-_SHOWN:].strip()
-    return SelfTest(
-        passed, text or ("every sample agrees" if passed else "it fails without a word")
-    )
-
-
-def _call(words: list[str], folder: str) -> subprocess.CompletedProcess[str]:
-    try:
-        return subprocess.run(
-            words,
-            cwd=folder,
-            capture_output=True,
-            encoding="utf-8",
-            errors="replace",
-            timeout=_SECONDS,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        raise InvalidInput(
-            f"the self-test took longer than {_SECONDS:g} s and was ended; run it by hand"
-        ) from None
+        try:
+            status, text = _run([compiler, *_WORDS, *files, "-lm"], folder, _SECONDS)
+            if not status:
+                status, text = _run([str(Path(folder, "test"))], folder, _SECONDS)
+        except subprocess.TimeoutExpired:
+            raise InvalidInput(
+                f"the self-test took longer than {_SECONDS:g} s and was ended; run it by hand"
+            ) from None
+    said = "it fails without a word" if status else "every sample agrees"
+    return SelfTest(not status, text[-_SHOWN:] or said)

@@ -1,5 +1,5 @@
-"""Synchronous blocks as C99, beside any controller: one function a sample, without heap, recursion
-or library.
+"""Units as C99: synchronous blocks beside any controller, and all axes; one function a sample,
+without heap, recursion or library.
 
 The twin is ``ambrose.law.synchronous_block``: the code takes the same steps in the same order.
 The text is in templates/synchronous.c.j2 and .h.j2.
@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import singledispatch
 from typing import Any, cast
 
 import numpy as np
 
-from ambrose.code.block.block import ControlBlock, as_comment, render
+from ambrose.code.block.block import Block, ControlBlock, as_comment, render
 from ambrose.code.block.fixed_point import in_words
-from ambrose.code.block.scheduled import SupervisedBlock
 from ambrose.code.block.synchronous_twin import (
     ONE,
     PER_REST,
@@ -39,10 +39,11 @@ from ambrose.code.c.code import (
     real_table,
     with_identity,
 )
-from ambrose.code.interface import TYPES, interface_of
+from ambrose.code.interface import TYPES, Law, interface_of
 from ambrose.code.synchronous import (
     EVERY,
     SHARE,
+    AllAxes,
     RunUnit,
     contact_counts,
     run_unit,
@@ -301,7 +302,10 @@ _FLOAT = 2e-2  # of the largest current: how far single precision may be
 
 
 def generate_run(
-    unit: RunUnit, arithmetic: Arithmetic = "double", provenance: Sequence[str] = ()
+    unit: RunUnit,
+    arithmetic: Arithmetic = "double",
+    provenance: Sequence[str] = (),
+    along: Sequence[str] = (),
 ) -> dict[str, str]:
     """The files of a unit by name: the controller's (``code.c.code.generate``), <name>_sync.h and
     .c, <name>_run.h, .c and _run_test.c, of fixed point also <name>_sync_report.md. Raises
@@ -324,7 +328,6 @@ def generate_run(
 def _facts(unit: RunUnit, arithmetic: str, provenance: Sequence[str]) -> dict[str, Any]:
     base, word = unit.base, WORDS.get(arithmetic, 0)
     table = integer_table if word else real_table(arithmetic)
-    supervised = isinstance(base, SupervisedBlock)
     touches = bool(np.isfinite(unit.contact).all())
     contact = contact_counts(unit, 1 << (word - 2)) if word else unit.contact
     floating = {"double": "double precision", "float": "single precision"}
@@ -339,7 +342,7 @@ def _facts(unit: RunUnit, arithmetic: str, provenance: Sequence[str]) -> dict[st
         "arithmetic": floating.get(arithmetic, f"fixed point, {word} bits"),
         "sample_time": f"{base.sample_time:.9g}",
         "provenance": [as_comment(line) for line in provenance] or ["provenance: not given"],
-        "supervised": supervised,
+        "supervised": base.supervised,
         "transfers": base.transfers,
         "touches": touches,
         "contact": table(contact) if touches else "",
@@ -422,3 +425,73 @@ def _self_test(unit: RunUnit, arithmetic: str) -> dict[str, Any]:
 def _whole(values: np.ndarray) -> str:
     lines = [", ".join(map(str, values[i : i + 24].tolist())) for i in range(0, len(values), 24)]
     return "{" + ",\n    ".join(lines) + "}"
+
+
+# The radial controller and the axial one as one C function of all axes.
+
+
+_ROWS = 500  # samples of the self-test
+_SIDES = ("INPUTS", "OUTPUTS")
+
+
+@singledispatch
+def law_files(
+    law: Law, arithmetic: Arithmetic, provenance: Sequence[str] = (), along: Sequence[str] = ()
+) -> dict[str, str]:
+    """The files of a unit by name, whatever it runs. along: the provenance of the part along the
+    shaft. Raises InvalidInput.
+    """
+    raise NotImplementedError
+
+
+@law_files.register
+def _(
+    law: Block, arithmetic: Arithmetic, provenance: Sequence[str] = (), along: Sequence[str] = ()
+) -> dict[str, str]:
+    return generate(law, arithmetic, provenance)
+
+
+law_files.register(RunUnit, generate_run)
+
+
+@law_files.register
+def _(
+    law: AllAxes, arithmetic: Arithmetic, provenance: Sequence[str] = (), along: Sequence[str] = ()
+) -> dict[str, str]:
+    # <name>_axes.h, .c and _axes_test.c stand on the files of both parts
+    radial, axial = law.radial, law.axial
+    own, face = interface_of(radial, arithmetic), interface_of(law, arithmetic)
+    base = radial.base
+    fixed = arithmetic.startswith("fixed")
+    zero, sizes = "0" if fixed else literal(0.0, arithmetic), f"{base.name.upper()}_AXES"
+    # where nothing was told, no pulse came
+    still = {"pulse": f"{zero} - 1", "flags": "0u"} | dict.fromkeys(base.told, zero)
+    limits = [*base.error_limit.tolist(), *axial.error_limit.tolist()]
+    scales = ["0.125" if fixed else literal(limit / 8, "double") for limit in limits]
+    facts = {
+        "name": base.name,
+        "prefix": base.name.upper(),
+        "header": f"{own.name}.h",
+        "unit": own.memory,
+        "init": f"{own.name}_init",
+        "axial": axial.name,
+        "axial_prefix": axial.name.upper(),
+        "sample_time": f"{base.sample_time:.9g}",
+        "inputs": [*base.inputs, *axial.inputs],
+        "outputs": [*base.outputs, *axial.outputs],
+        "declared": face.declared(f"{base.name}_real", *(f"{sizes}_{n}" for n in _SIDES)),
+        "names": ", ".join(one.name for one in face.arguments),
+        "called": ", ".join(still.get(one.name, one.name) for one in face.arguments[:-1]),
+        "step_name": f"{own.name}_step",
+        "sources": " ".join(face.sources),
+        "rows": _ROWS,
+        "fixed": fixed,
+        # an eighth of every error's limit, the self-test's amplitude: in counts, or in metres
+        "scales": f"{{{', '.join(scales)}}}",
+    }
+    ends = ("axes.h", "axes.c", "axes_test.c")
+    return {
+        **law_files(radial, arithmetic, provenance),
+        **generate(axial, arithmetic, along),
+        **{f"{base.name}_{end}": render(f"{end}.j2", facts) for end in ends},
+    }
