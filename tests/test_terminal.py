@@ -331,7 +331,7 @@ def test_nothing_but_a_file_is_replaced(kind, tmp_path):
     )
     for write in writers:
         with pytest.raises(
-            InvalidInput, match=r"r\.h5: it is (a symbolic link|a pipe|a socket|no folder)"
+            InvalidInput, match=r"r\.h5: it is (a symbolic link|a pipe|a socket|not a folder)"
         ):
             write()
     assert path.lstat() == before

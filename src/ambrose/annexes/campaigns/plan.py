@@ -319,7 +319,7 @@ def _variable(path: str, given: Any, grid: bool) -> Variable:
     if first not in SECTIONS or (not rest and first not in BASES):
         known = ", ".join(f"{name}.<...>" for name in SECTIONS)
         raise InvalidInput(
-            f'[vary] "{path}" leads nowhere; a path is {known}, or one of {", ".join(BASES)} whole'
+            f'[vary] "{path}" does not exist; a path is {known}, or one of {", ".join(BASES)} whole'
         )
     if not isinstance(given, Mapping):
         values = given if isinstance(given, list) else [given]
@@ -487,7 +487,7 @@ def assign(document: dict[str, Any], path: str, value: Value, what: str) -> None
     if not places:
         first = path.split(".", maxsplit=1)[0]
         raise InvalidInput(
-            f'"{what}.{path}" leads nowhere in the {what} file; '
+            f'"{what}.{path}" does not exist in the {what} file; '
             f"{suggestion(first, map(str, document))}"
         )
     for table in places:
@@ -552,7 +552,7 @@ def _point(machine: Machine, label: str, values: Mapping[str, Value]) -> Operati
     numbers = {}
     for name, value in values.items():
         if name not in _POINT:
-            raise InvalidInput(f'"point.{name}" leads nowhere; {suggestion(name, _POINT)}')
+            raise InvalidInput(f'"point.{name}" does not exist; {suggestion(name, _POINT)}')
         try:
             numbers[name] = read_quantity(value, DIMENSIONS[_POINT[name]])
         except ValueError as error:
