@@ -152,9 +152,8 @@ class SampledBox:
         # u = E (Ck xk - Dk C x), E = (I + Dk D)^-1, y = C x + D u; xk+ = Ak xk - Bk y
         K = self.controller
         n = K.n_states
-        inner = -K.D @ D
-        check_loop(inner)
-        E = np.linalg.inv(np.eye(len(K.D)) - inner)
+        check_loop(-K.D @ D)
+        E = np.linalg.inv(np.eye(len(K.D)) + K.D @ D)
         u = np.concatenate([E @ K.C, -E @ K.D @ C], axis=-1)
         y = D @ u
         y[..., n:] += C
@@ -358,8 +357,7 @@ def check_over_box(
 
     # abscissa of the reduced loop, of the full one too at the first points; light poles of the last
     poles = [*box.closed_loop_poles(points[:_FULL_POINTS]), *reduced[_FULL_POINTS:]]
-    abscissa = reduced.real.max(axis=1)
-    abscissa = np.maximum(abscissa, [row.real.max() for row in poles])
+    abscissa = np.maximum(reduced.real.max(axis=1), [row.real.max() for row in poles])
     light = [box.light(row) for row in poles]
 
     # the peak of every member on the grid, which all share but for what lies beside resonances;
