@@ -261,7 +261,8 @@ def sampled_box(
     owner = np.repeat(np.arange(len(blocks)), [block.repeat for block in blocks])
     names = tuple(block.name for block in blocks)
 
-    s, n, few = model.system, len(owner), ports(model.system, len(owner))
+    s, n = model.system, len(owner)
+    few = ports(s, n)
     chords = modal_chords(s).part(
         np.r_[few.outputs, n : len(s.outputs)], np.r_[few.inputs, n : len(s.inputs)]
     )
