@@ -279,9 +279,8 @@ def upper_lft(
     D21, D22 = system.D[n_z:, :n_w], system.D[n_z:, n_w:]
 
     # w = gain (I - D11 gain)^-1 (C1 x + D12 u)
-    inner = D11 @ gain
-    check_loop(inner)
-    feed = gain @ np.linalg.inv(np.eye(n_z) - inner)
+    check_loop(D11 @ gain)
+    feed = gain @ np.linalg.inv(np.eye(n_z) - D11 @ gain)
     by_state, by_input = feed @ C1, feed @ D12
     return system.A + B1 @ by_state, B2 + B1 @ by_input, C2 + D21 @ by_state, D22 + D21 @ by_input
 

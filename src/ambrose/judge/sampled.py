@@ -152,9 +152,8 @@ class SampledBox:
         # u = E (Ck xk - Dk C x), E = (I + Dk D)^-1, y = C x + D u; xk+ = Ak xk - Bk y
         K = self.controller
         n = K.n_states
-        inner = -K.D @ D
-        check_loop(inner)
-        E = np.linalg.inv(np.eye(len(K.D)) - inner)
+        check_loop(-K.D @ D)
+        E = np.linalg.inv(np.eye(len(K.D)) + K.D @ D)
         u = np.concatenate([E @ K.C, -E @ K.D @ C], axis=-1)
         y = D @ u
         y[..., n:] += C
@@ -262,7 +261,8 @@ def sampled_box(
     owner = np.repeat(np.arange(len(blocks)), [block.repeat for block in blocks])
     names = tuple(block.name for block in blocks)
 
-    s, n, few = model.system, len(owner), ports(model.system, len(owner))
+    s, n = model.system, len(owner)
+    few = ports(s, n)
     chords = modal_chords(s).part(
         np.r_[few.outputs, n : len(s.outputs)], np.r_[few.inputs, n : len(s.inputs)]
     )
@@ -358,8 +358,7 @@ def check_over_box(
 
     # abscissa of the reduced loop, of the full one too at the first points; light poles of the last
     poles = [*box.closed_loop_poles(points[:_FULL_POINTS]), *reduced[_FULL_POINTS:]]
-    abscissa = reduced.real.max(axis=1)
-    abscissa = np.maximum(abscissa, [row.real.max() for row in poles])
+    abscissa = np.maximum(reduced.real.max(axis=1), [row.real.max() for row in poles])
     light = [box.light(row) for row in poles]
 
     # the peak of every member on the grid, which all share but for what lies beside resonances;
