@@ -62,8 +62,9 @@ def accept(
     limits.
 
     RECORDS hold the displacements y_<axis> and excitations e_<axis> (or references r_<axis>) on
-    every axis, at standstill or running, at one operating point or several; CONTROLLER is the file
-    of the one that ran, and with u_<axis> it is checked. Limits and zones (ISO 14839-3) judge the
+    every axis, at standstill or running, at one operating point or several; or they are an
+    analyser's frequency responses, one file for each point. CONTROLLER is the file of the one that
+    ran, and with u_<axis> it is checked. Limits and zones (ISO 14839-3) judge the
     outer end of the 95 % intervals. Exit status 1: measured, but a check failed.
     """
     from ambrose.annexes.site.acceptance import accept as accepted
@@ -664,7 +665,9 @@ def retune(
     """From a record of the running machine to another controller: proved, coded, tried, on a page
     to sign.
 
-    RECORDS hold excitations e_<axis> and displacements y_<axis>, with u_<axis> best. Identifies the
+    RECORDS hold excitations e_<axis> and displacements y_<axis>, with u_<axis> best, or are an
+    analyser's frequency responses: then the measured plant decides at their operating point.
+    Identifies the
     machine, says what changed, judges the running controller over the identified intervals; where
     that no longer holds, tunes another of its structure, proves it, writes its code and what of it
     changes, and tries the change and the way back on the virtual rig. Exit status 1: stopped at the
