@@ -520,11 +520,12 @@ def missing_resonances(
             return sum(one[0] for one in _explained(left, float(w), float(np.abs(zeta))))
 
         # where most is left, line by line
-        power = [np.abs(r) ** 2 for *_, r in left]
-        lines = sorted(
-            ((float(p[k]), float(omega[k])) for (omega, *_), p in zip(left, power, strict=True)
-             for k in np.argsort(p)[-_PEAKS:]), reverse=True
-        )  # fmt: skip
+        lines = [
+            (float(np.abs(r[k])), float(omega[k]))
+            for omega, _, r in left
+            for k in np.argsort(np.abs(r))[-_PEAKS:]
+        ]
+        lines.sort(reverse=True)
         places = list(dict.fromkeys(w for _, w in lines))[:_PEAKS]
         if not places:
             return

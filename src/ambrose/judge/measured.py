@@ -194,8 +194,8 @@ def sensitivity_of(
             dense = frequency_response(law, points.omega).values
         judged = judge_lines(points, lines, dense[part], dense[part])
         at = np.searchsorted(points.omega, lines.omega)
-        own_size = np.abs(np.einsum("wii->wi", judged.S))
-        columns, sizes, radius = list(places), own_size, judged.radius
+        sizes, radius = np.abs(np.einsum("wii->wi", judged.S)), judged.radius
+        columns = list(places)
         if len(places) == a:
             columns.append(a)
             sizes = np.column_stack([sizes, judged.largest])

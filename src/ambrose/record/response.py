@@ -383,7 +383,8 @@ def agreement(items: Sequence[tuple[np.ndarray, Path, np.ndarray]]) -> Agreement
     for omega, path, values in items:
         quotient = path.values / np.where(values == 0, 1e-300, values)
         noise = noise_beside(omega, path, values) / np.maximum(np.abs(values), 1e-300) ** 2
-        off, agrees, shown = np.zeros(len(omega), bool), np.ones(len(omega), bool), quotient
+        off, agrees = np.zeros(len(omega), bool), np.ones(len(omega), bool)
+        shown = quotient
         for width in (1, _SMOOTH):
             ones = np.ones(min(width, len(omega)))
             lines = np.convolve(np.ones(len(omega)), ones, "same")

@@ -3,6 +3,7 @@
 import json
 from functools import cache
 from pathlib import Path as FilePath
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from click.testing import CliRunner
 import ambrose as amb
 from ambrose.annexes.site.acceptance import accept
 from ambrose.annexes.site.pages import acceptance_page
+from ambrose.annexes.site.retuning import at_point
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.controller_file import write_controller
@@ -96,3 +98,45 @@ def test_the_command_takes_an_analysers_file(tmp_path):
     assert done.exit_code in {0, 1}, done.stderr
     told = json.loads(done.stdout)
     assert told["records"][0]["name"] == "sweep.csv" and (tmp_path / "page.html").exists()
+
+
+def named(*labels):
+    return SimpleNamespace(points=[SimpleNamespace(label=label) for label in labels])
+
+
+def test_a_point_is_found_whether_it_was_measured_or_not():
+    """The measured points come first, and only where the responses told."""
+    before = named("zero, measured", "nominal", "twice")
+    after = named("nominal", "zero", "twice")
+    for old in before.points:
+        assert at_point(after, old.label).label == old.label.removesuffix(", measured")
+        assert at_point(before, at_point(after, old.label).label) is old
+
+
+@pytest.mark.study
+def test_a_retuning_from_responses_alone(tmp_path):
+    """All K_i 10 % more, all K_s 8 % less: the new loop's sensitivity on the truth within its
+    interval on the measured plant.
+    """
+    true = Truth.of(FILE, RATE, (0.1, -0.08))
+    lines = [np.geomspace(4, 1600, 130), np.arange(480, 620, 1.0), np.arange(1200, 1460, 2.5)]
+    measured = true.sweep(MACHINE, matrices(law(), RATE), np.unique(np.concatenate(lines).round(3)))
+    done = amb.retune(machine(), measured, law(), tmp_path, changed=True)
+    steps = {step.name: step for step in done.steps}
+    assert done.outcome == "retuned" and "measured" in steps["new measured"].words, done.text
+    fine = np.union1d(np.geomspace(4, 1600, 3000), true.hertz(packed=30))
+    S = true.sensitivity(matrices(done.new.controller, RATE), fine)
+    checks = at_point(done.after, "zero pressure")
+    values = np.abs(np.einsum("wii->wi", S)).max(axis=0)
+    low, high = (checks.curve(f"sensitivity.output.{end}").y[1:].max(axis=1)
+                 for end in ("lower end", "upper end"))  # fmt: skip
+    assert ((low <= values) & (values <= high)).all()
+
+
+def test_what_a_retuning_refuses_of_responses(tmp_path):
+    whole = swept()
+    slow = type(whole)(MACHINE, whole.omega, whole.paths, whole.point)
+    with pytest.raises(InvalidInput, match="state sample_rate_hz"):
+        amb.retune(machine(), slow, law(), tmp_path)
+    with pytest.raises(InvalidInput, match="given together"):
+        amb.retune(machine(), [whole, tmp_path / "record.h5"], law(), tmp_path)

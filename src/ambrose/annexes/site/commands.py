@@ -62,10 +62,10 @@ def accept(
     their limits.
 
     RECORDS contain the displacements y_<axis> and excitations e_<axis> (or references r_<axis>) on
-    every axis, at standstill or running, at one operating point or several; CONTROLLER is the file
-    of the controller that ran; with u_<axis> this is checked. Limits and zones (ISO 14839-3) apply
-    to
-    the outer end of the 95 % intervals. Exit status 1: measured, but a check failed.
+    every axis, at standstill or running, at one operating point or several; or they are an
+    analyser's frequency responses, one file for each point. CONTROLLER is the file of the
+    controller that ran; with u_<axis> this is checked. Limits and zones (ISO 14839-3) apply to the
+    outer end of the 95 % intervals. Exit status 1: measured, but a check failed.
     """
     from ambrose.annexes.site.acceptance import accept as accepted
     from ambrose.law.loop import timing_in_words
@@ -673,11 +673,12 @@ def retune(
     """From a record of the running machine to another controller: proved, coded, tried, on a page
     to sign.
 
-    RECORDS contain excitations e_<axis> and displacements y_<axis>, with u_<axis> best. Identifies
-    the machine, lists what changed, and checks the running controller over the identified
-    intervals. If it fails a requirement, another one of the same structure is tuned, proved and
-    written as code, and the change and the way back run on the virtual rig. Exit status 1: stopped
-    at the first step that fails; finished files stay in the folder.
+    RECORDS contain excitations e_<axis> and displacements y_<axis>, with u_<axis> best, or are an
+    analyser's frequency responses: then the measured plant decides at their operating point.
+    Identifies the machine, lists what changed, and checks the running controller over the
+    identified intervals. If it fails a requirement, another one of the same structure is tuned,
+    proved and written as code, and the change and the way back run on the virtual rig. Exit status
+    1: stopped at the first step that fails; finished files stay in the folder.
     """
     from ambrose.annexes.site.retuning import PAGE
     from ambrose.annexes.site.retuning import retune as run

@@ -23,7 +23,7 @@ from ambrose.annexes.site.frf import (
     open_loop,
     summary,
 )
-from ambrose.annexes.site.retuning import Retuning, Switch
+from ambrose.annexes.site.retuning import Retuning, Switch, at_point
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import FrequencyResponse
 from ambrose.identification.frf import IN_WORDS
@@ -709,8 +709,8 @@ def _loops_of_page(done: Retuning) -> Iterator[Section]:
 def _compared(before: Verification, after: Verification | None) -> Table:
     columns = ("Operating point", "Quantity", "Running", *(() if after is None else ("New",)))
     rows: list[Row] = []
-    for number, old in enumerate(before.points):
-        pair = [old] if after is None else [old, after.points[number]]
+    for old in before.points:
+        pair = [old] if after is None else [old, at_point(after, old.label)]
         for name, words in _COMPARED:
             found = [_named_of_page(checks, name) for checks in pair]
             if any(check is not None for check in found):

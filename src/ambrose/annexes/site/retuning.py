@@ -725,10 +725,17 @@ def designed_in_words(new: Synthesis) -> str:
     return f"certified as stable{ended}; the limits are judged next"
 
 
+def at_point(verification: Verification, label: str) -> Checks:
+    """The checks at the operating point of a label, measured or not."""
+    name = label.removesuffix(MEASURED)
+    return next(item for item in verification.points if item.label.removesuffix(MEASURED) == name)
+
+
 def _beside(before: Verification, after: Verification) -> str:
     """The largest sensitivity at every operating point, before and after."""
     rows = []
-    for old, own in zip(before.points, after.points, strict=True):
+    for old in before.points:
+        own = at_point(after, old.label)
         was = f"{old[_PEAK].value:.3g}" if old.stable else "unstable"
         rows.append(f"{own.label} {was} to {own[_PEAK].value:.3g}")
     return f"largest output sensitivity: {', '.join(rows)}"
