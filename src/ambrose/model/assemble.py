@@ -225,11 +225,11 @@ def attached_rotor(
 
     Coordinates: four rigid-body modes, then ``bending_modes`` per plane by ascending frequency
     (None: the full model's, ``model.assemble``), then those of the supports
-    (``model.effects.support``). Inputs f_<port> [N], which act between rotor and stator as q_<port>
-    is measured, and o_<port> [N] on the rotor alone where the stator can move; outputs q_<port> and
-    s_<channel> [m] (``sensor_ports``); velocity outputs qdot_<port> [m/s]. A free bending mode that
-    a tolerance names has ports too, bending_<k>_x and _y: the force on its mass-orthonormal
-    coordinate, and the coordinate.
+    (``model.effects.stations``). Inputs f_<port> [N], which act between rotor and stator as
+    q_<port> is measured, and o_<port> [N] on the rotor alone where the stator can move; outputs
+    q_<port> and s_<channel> [m] (``sensor_ports``); velocity outputs qdot_<port> [m/s]. A free
+    bending mode that a tolerance names has ports too, bending_<k>_x and _y: the force on its
+    mass-orthonormal coordinate, and the coordinate.
     """
     modes = modes_of(machine, rotor, bending_modes)
     places, sensed = ports(machine), sensor_ports(machine)
