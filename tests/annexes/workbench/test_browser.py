@@ -306,8 +306,6 @@ def _follow(chromium, server, folder, brief):
     go(page, "identification")
     assert page.locator("[name=record]").input_value().startswith("live-pid-")
     assert page.locator("[name=controller]").input_value() == "pid.json"
-    if brief:
-        page.locator("[name=unknown]").fill(MAGNETS)
     assert "Verdict: " in job(page, "Identify", "identify")
     page.get_by_role("button", name="Write back").click()
     until(page, "document.querySelector('#note').textContent.includes('before.toml')")
