@@ -195,7 +195,9 @@ def test_without_a_compiler_the_law_runs_in_python(commissioned, directory, monk
 def test_a_reference_that_does_not_hold_the_plant_is_refused(plants, reference, tmp_path):
     law = reference.controller
     wrong = replace(reference, controller=replace(law, C=-law.C, D=-law.D))
-    with pytest.raises(InvalidInput, match="reference controller does not hold the nominal plant"):
+    with pytest.raises(
+        InvalidInput, match="reference controller does not stabilise the nominal plant"
+    ):
         commission(plants, wrong, tmp_path / "none", lambda text: None)
     assert not (tmp_path / "none").exists()
 

@@ -126,7 +126,7 @@ def test_an_unverified_controller_needs_force(controllers, tmp_path):
         (["--name", "a b"], "the name of the block is 'a b', but must be a C identifier"),
         (["--error-limit", 0, "--force"], "error_limit is 0.0, but must be positive"),
         # the first that is missed depends on the design's last digits
-        (["--arithmetic", "fixed16", "--force"], "words of 16 bits"),
+        (["--arithmetic", "fixed16", "--force"], "use words of 32 bits"),
         (["--machine", "absent.toml"], "absent.toml"),
     ],
 )

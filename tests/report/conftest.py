@@ -332,7 +332,7 @@ def comparison() -> list[tuple[str, Curve]]:
     return sample_comparison()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")  # its event loop is the thread's while it is open
 def browser() -> Any:
     reason = "no playwright: install the extra dev"
     playwright = pytest.importorskip("playwright.sync_api", reason=reason)

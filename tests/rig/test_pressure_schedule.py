@@ -238,11 +238,11 @@ def test_a_fixed_controller_meets_a_changing_pressure_in_the_linear_loop_too():
     [
         (
             replace(SURGE, speed=10.0, to_speed=60.0),
-            "changes of pressure, which a linear model does not know",
+            "changes of pressure, which a linear model does not have",
         ),
         (
             replace(SURGE, pressure_sensors=(PressureSensor(lag=0.1),)),
-            "a pressure sensor, which a linear model does not know",
+            "a pressure sensor, which a linear model does not have",
         ),
     ],
 )

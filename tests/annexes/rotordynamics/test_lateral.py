@@ -874,7 +874,7 @@ def test_what_cannot_be_analysed_is_said():
     with pytest.raises(InvalidInput, match="needs a controller"):
         amb.lateral(amb.load_machine("turboexpander"))
     rest = replace(machine, operation=amb.load_machine("seal-rig").operation)
-    with pytest.raises(InvalidInput, match="stands still"):
+    with pytest.raises(InvalidInput, match="is at standstill"):
         amb.lateral(rest)
     with pytest.raises(InvalidInput, match="no magnetic bearings"):
         amb.design(machine, "pid")

@@ -198,7 +198,7 @@ def test_simulate_takes_the_sensor_of_the_scenario(folder):
     )
     assert (
         linear.exit_code == 2
-        and "a pressure sensor, which a linear model does not know" in linear.stderr
+        and "a pressure sensor, which a linear model does not have" in linear.stderr
     )
 
 

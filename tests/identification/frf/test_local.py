@@ -145,7 +145,7 @@ def test_what_tells_nothing_is_refused():
     values = data.values.copy()
     values[1] = 2 * values[0]
     alike = Record("m", 1 / DT, data.signals, data.units, values)
-    with pytest.raises(InvalidInput, match="alike"):
+    with pytest.raises(InvalidInput, match="are equal"):
         local_response(alike, ["e_1", "e_2"], ["y_1"])
     values = data.values.copy()
     values[1] = 0

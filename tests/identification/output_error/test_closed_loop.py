@@ -316,7 +316,7 @@ def quiet(record):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"records": quiet}, "record 1 holds no excitation.*add a PRBS"),
+        ({"records": quiet}, "record 1 has no excitation.*add a PRBS"),
         ({"unknown": ["bearing.C.force_per_current.zeta"]}, 'unknown bearing "C"'),
         (
             {"unknown": ["bearing.A.force_per_current"]},

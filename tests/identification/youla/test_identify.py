@@ -312,7 +312,7 @@ def test_bad_input():
         youla.identify(machine(), good, StateSpace(K.A, -K.B, K.C, -K.D), [PATH], bending_modes=0)
     with pytest.raises(InvalidInput, match="no signal u_A_zeta; the residual needs every command"):
         identify(good.select([*Y, *E]))
-    with pytest.raises(InvalidInput, match="holds no excitation"):
+    with pytest.raises(InvalidInput, match="has no excitation"):
         identify(replace(good, values=np.vstack([good.values[:8], 0 * good.values[8:]])))
     growing = (
         good.values * np.where(np.arange(12) < 8, 1.0, 0.0)[:, None] * np.exp(np.arange(400) / 60)

@@ -45,7 +45,7 @@ def test_speeds_are_those_of_the_operating_points_with_the_same_pressure(plant):
 
 def test_a_machine_without_a_range_of_speeds_is_told_so():
     machine = load_machine("seal-rig")  # a rig that hardly turns
-    with pytest.raises(InvalidInput, match=r"no range of speeds .*state the speeds"):
+    with pytest.raises(InvalidInput, match=r"no range of speeds .*give the speeds"):
         schedule_grid(machine, machine.operation.nominal)
 
 

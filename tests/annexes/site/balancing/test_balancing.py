@@ -188,7 +188,7 @@ def test_what_cannot_be_balanced_is_refused():
             {"trials": [(record(SLOW), {"impeller": 1e-4})]},
             "that of a run without weights",
         ),
-        ([turning], PLANES, {"trials": [(turning, {"elsewhere": 1e-4})]}, "no correction plane"),
+        ([turning], PLANES, {"trials": [(turning, {"elsewhere": 1e-4})]}, "not a correction plane"),
         ([turning.between(0, 1.0)], PLANES, {}, "record longer"),
     ):
         with pytest.raises(InvalidInput, match=words):
