@@ -18,7 +18,6 @@ and imag.
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -29,9 +28,10 @@ from typing import Annotated, Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_path, invalid
+from ambrose.core.presentation import json_text
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.kinds import Choice, Name, Quantity, Words
-from ambrose.machine.ordinary_file import NUMBERS, SIGNALS, check_source, draft_of
+from ambrose.machine.ordinary_file import NUMBERS, SIGNALS, check_source, draft_of, parse_json
 from ambrose.machine.part import Part
 from ambrose.machine.units import DIMENSIONS, in_si, quoted
 from ambrose.options import either
@@ -484,12 +484,12 @@ def _write_json(response: Response, path: File) -> None:
             for item in response.paths
         ],
     }
-    path.write_text(json.dumps(document, indent=1), encoding="utf-8")
+    path.write_text(json_text(document, indent=1), encoding="utf-8")
 
 
 def _read_json(path: File) -> Response:
     try:
-        said = json.loads(path.read_text("utf-8"))
+        said = parse_json(path.read_text("utf-8"), "export it again")
         if not isinstance(said, dict) or said.get("format") != FORMAT:
             raise InvalidInput(f'it is no file of responses; state "format": {FORMAT!r}')
         paths = []
