@@ -197,7 +197,7 @@ def count(truth, number, kind="T", seed=0, **options):
         try:
             checks = judged(response, law, ran=kind != "G")
         except InvalidInput as error:
-            assert "do not tell" in str(error), error
+            assert "do not show" in str(error), error
             undecided.append(k)
             continue
         if checks.stable != truth.stable(law[1]):
@@ -316,7 +316,7 @@ def test_a_gap_that_hides_a_mode_is_never_green():
     truth, rng = Truth.of((0.1, -0.08), -0.03), np.random.default_rng(0)
     for k in range(6):
         law = random_law(rng)[0]
-        with pytest.raises(InvalidInput, match="do not tell"):
+        with pytest.raises(InvalidInput, match="do not show"):
             judged(without(sweep(truth, running()[1], seed=k), 520, 580), law)
 
 
@@ -391,7 +391,7 @@ def test_what_does_not_tell_is_refused_in_one_sentence():
         ("no axis 'C_zeta'", replace(whole, paths=tuple(wrong)), True),
         ("1 of 16 responses", replace(whole, paths=whole.paths[1:]), True),
         ("number of lines", without(whole, 5, 1500), True),
-        ("does not|do not tell", without(whole, 525, 575), True),
+        ("does not|do not show", without(whole, 525, 575), True),
         ("last line, 286.9", without(whole, 300.5, 1700), True),
         ("give the controller that ran", replace(both, paths=mixed), True),
         ("only with the controller that ran", whole, False),

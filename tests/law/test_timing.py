@@ -67,7 +67,7 @@ def test_who_is_heard_first(machine, controller, rate, samples, expected):
 
 
 def test_a_delay_without_a_rate_is_refused():
-    with pytest.raises(InvalidInput, match=r"delay_samples is 1.*at which rate"):
+    with pytest.raises(InvalidInput, match=r"delay_samples is 1.*given with a rate"):
         timing_of(MACHINE, LAW, delay_samples=1)
     for samples in (-1, 1.5, True):
         with pytest.raises(InvalidInput, match="whole number of samples"):

@@ -174,7 +174,7 @@ GOOD = ("frequency [Hz]", "S A_zeta gain [dB]", "S A_zeta phase [deg]")
         (GOOD, (HERTZ, 0 * dB(S), 0 * deg(S)), HEAD, "dead channel"),
         (("frequency [Hz]", "S A_zeta gain [abs]", GOOD[2]), (HERTZ, dB(S), deg(S)), HEAD, "in dB, not"),
         ((*GOOD[:2], "S A_zeta phase [rad]"), (HERTZ, dB(S), deg(S)), HEAD, "in degrees"),
-        (("frequency [Hz]", "foo", "bar"), (HERTZ, dB(S), deg(S)), HEAD, "what was measured"),
+        (("frequency [Hz]", "foo", "bar"), (HERTZ, dB(S), deg(S)), HEAD, "does not state its quantity"),
         (("frequency [mm]", *GOOD[1:]), (HERTZ, dB(S), deg(S)), HEAD, "must be a unit of angular"),
         (("frequency [Hz]", "G A_zeta gain [um/V]", "G A_zeta phase [deg]"),
          (HERTZ, abs(S), deg(S)), HEAD, "G .* is \"V\""),
