@@ -466,6 +466,8 @@ class Verification(Presented):
             points=(*self.points, *named(thrust.points)),
             boxes=(*self.boxes, *named(thrust.boxes)),
             ranges=(*self.ranges, *named(thrust.ranges)),
+            moving=(*self.moving, *named(thrust.moving)),
+            synchronous=(*self.synchronous, *named(thrust.synchronous)),
             left_out=(*self.left_out, *(f"{THRUST}{label}" for label in thrust.left_out)),
             not_varied=(*self.not_varied, *(f"{THRUST}{words}" for words in thrust.not_varied)),
             timing=timing,
