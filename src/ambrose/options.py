@@ -281,6 +281,7 @@ def percent(value: float) -> float:
     return value / 100
 
 
+GROUPS = ("radial", "thrust")  # of axes
 # What the verbs of the front door take beside machine, controller, records and files.
 
 
@@ -310,9 +311,9 @@ class AsItRuns(Options):
 class Verifying(AsItRuns):
     """How a controller is judged.
 
-    axial: the controller of the axis along the shaft, all axes are judged then. tolerances: the
-    tolerance boxes, too; everywhere: bounds and proofs over them around every operating point, not
-    the first alone. How fast the machine may move between its points:
+    axial: the controller of the thrust axis, where the other does not hold it. axes: the one group
+    of axes that is judged (None: all). tolerances: the tolerance boxes, too; everywhere: bounds and
+    proofs over them around every operating point, not the first alone. How fast the machine may move between its points:
     pressure_rate [Pa/s], the fastest change of the seal pressure (None: the machine file's; without
     one nothing is proved for a pressure that changes); pressure_error [Pa], how far off what a
     controller scheduled over the pressure is told may be; speed_rate [rad/s^2], the fastest run-up
@@ -320,8 +321,11 @@ class Verifying(AsItRuns):
     """
 
     axial: LawLike | None = option(
-        None, "The controller of machine.toml#axial: the thrust axis is judged as well."
+        None,
+        "The controller of the thrust axis; default: that of the controller file, else the "
+        "machine file's PID.",
     )
+    axes: str | None = option(None, "One group of axes.", flag=None, choices=GROUPS)
     tolerances: bool = option(True, "Over the tolerances as well.", flag=None)
     everywhere: bool = option(
         False,
