@@ -241,7 +241,7 @@ def verify(
 
 def simulate(
     machine: Machine | Plant | str,
-    controller: Any,
+    controller: Any = None,
     scenario: Any = "levitation",
     *,
     point: OperatingPoint | str | None = None,
@@ -251,24 +251,26 @@ def simulate(
     """A scenario on the nonlinear virtual rig (``linear``: on the linear loop): its record and its
     outcome.
 
+    controller: None: the machine file's PID, of the thrust axis as well; all axes run together.
     scenario: the name of a bundled one, the path of a file, or a Scenario. point: where the machine
     runs (None: the nominal one). options: rate [Hz] and delay_samples of the controller (None: as
     it or the machine file says); fallback, the fixed controller that takes over from one scheduled
     over pressure where the reading cannot be trusted, with pressure_rate, pressure_error,
     stuck_after and estimate as in ``rig.trial.simulate_scenario``; axial, the controller of the
-    axis along the shaft, with which all axes run together; others as for ``rig.virtual_rig.run``:
-    seed, bending_modes, path, second, progress. Raises InvalidInput.
+    thrust axis; axes, "radial" or "thrust", the one group that runs; others as for
+    ``rig.virtual_rig.run``: seed, bending_modes, path, second, progress. Raises InvalidInput.
     """
     from ambrose.model.plant import Plant as PlantType
     from ambrose.rig.trial import simulate_scenario
 
     place = machine if isinstance(machine, PlantType) else machine_of(machine)
-    for name in ("fallback", "second", "axial"):
+    for name in ("fallback", "second"):
         if options.get(name) is not None:
             options[name] = controller_of(options[name])
-    return simulate_scenario(
-        place, controller_of(controller), scenario, point=point, linear=linear, **options
-    )
+    given = options.pop("axial", None)
+    law, along = _known_laws(place, controller, given, options.get("axes"))
+    options |= {"thrust": along} if given is None else {"axial": along}
+    return simulate_scenario(place, law, scenario, point=point, linear=linear, **options)
 
 
 def identify(

@@ -199,9 +199,7 @@ class ProvenanceTable(_Table):
 
 
 class GroupTable(_Table):
-    """A controller of one group of axes, from displacement errors to control currents, with its certificate; made by
-    `ambrose synthesize`.
-    """
+    """A controller of one group of axes, with its certificate."""
 
     method: Text
     status: Annotated[Status, Field(strict=False)]
@@ -269,8 +267,9 @@ def write_controller(
     all. Returns the path.
 
     The controller's inputs are err_<axis> [m] and its outputs u_<axis> [A]. machine: recorded by
-    name and hash, of the thrust axis that of this axis; None: the one of the synthesis. date: None: that of the synthesis, else now.
-    Raises InvalidInput for other signals or a path that cannot be written.
+    name and hash, of the thrust axis that of this axis; None: the one of the synthesis. date: None:
+    that of the synthesis, else now. Raises InvalidInput for other signals or a path that cannot be
+    written.
     """
     path = check_path(path, "controller file")
     return write_text(path, controller_text(result, machine, date), "controller file")
