@@ -179,10 +179,11 @@ def design_with_block(
 
 def verify(
     machine: Machine | Plant | str,
-    controller: Any,
+    controller: Any = None,
     *,
     points: Sequence[OperatingPoint | str] | OperatingPoint | str | None = None,
     axial: Any = None,
+    axes: str | None = None,
     tolerances: bool = True,
     everywhere: bool = False,
     measured: Any = (),
@@ -197,8 +198,10 @@ def verify(
     """The controller judged on the full plant: at every operating point, and over all tolerances
     around each.
 
-    points: of the machine, one or several (None: all, the one that designs are made for first).
-    axial: the controller of the axis along the shaft, which is judged as well.
+    controller: None: the machine file's own PID. points: of the machine, one or several (None: all,
+    the one that designs are made for first). axial: the controller of the thrust axis (None: that
+    of ``controller``, else the machine file's PID). axes: "radial" or "thrust", the one group of
+    axes to judge (None: all; one without a controller is not passed).
     everywhere: bounds and proofs over the tolerances around every point, not the first alone.
     measured: frequency responses or their files, which decide at their operating points; running:
     the controller that ran then (None: they are of the plant alone).
@@ -215,12 +218,14 @@ def verify(
     from ambrose.model.plant import Plant as PlantType
 
     place = machine if isinstance(machine, PlantType) else machine_of(machine)
+    law, along = _known_laws(place, controller, axial, axes)
     several: Any = points if points is None or isinstance(points, list | tuple) else [points]
     return verify_controller(
         place,
-        controller_of(controller),
+        law,
         several,
-        axial=None if axial is None else controller_of(axial),
+        axial=along,
+        axes=axes,
         tolerances=tolerances,
         everywhere=everywhere,
         measured=measured,
@@ -236,7 +241,7 @@ def verify(
 
 def simulate(
     machine: Machine | Plant | str,
-    controller: Any,
+    controller: Any = None,
     scenario: Any = "levitation",
     *,
     point: OperatingPoint | str | None = None,
@@ -246,24 +251,26 @@ def simulate(
     """A scenario on the nonlinear virtual rig (``linear``: on the linear loop): its record and its
     outcome.
 
+    controller: None: the machine file's PID, of the thrust axis as well; all axes run together.
     scenario: the name of a bundled one, the path of a file, or a Scenario. point: where the machine
     runs (None: the nominal one). options: rate [Hz] and delay_samples of the controller (None: as
     it or the machine file says); fallback, the fixed controller that takes over from one scheduled
     over pressure where the reading cannot be trusted, with pressure_rate, pressure_error,
     stuck_after and estimate as in ``rig.trial.simulate_scenario``; axial, the controller of the
-    axis along the shaft, with which all axes run together; others as for ``rig.virtual_rig.run``:
-    seed, bending_modes, path, second, progress. Raises InvalidInput.
+    thrust axis; axes, "radial" or "thrust", the one group that runs; others as for
+    ``rig.virtual_rig.run``: seed, bending_modes, path, second, progress. Raises InvalidInput.
     """
     from ambrose.model.plant import Plant as PlantType
     from ambrose.rig.trial import simulate_scenario
 
     place = machine if isinstance(machine, PlantType) else machine_of(machine)
-    for name in ("fallback", "second", "axial"):
+    for name in ("fallback", "second"):
         if options.get(name) is not None:
             options[name] = controller_of(options[name])
-    return simulate_scenario(
-        place, controller_of(controller), scenario, point=point, linear=linear, **options
-    )
+    given = options.pop("axial", None)
+    law, along = _known_laws(place, controller, given, options.get("axes"))
+    options |= {"thrust": along} if given is None else {"axial": along}
+    return simulate_scenario(place, law, scenario, point=point, linear=linear, **options)
 
 
 def identify(
@@ -374,6 +381,31 @@ def machine_of(machine: Any) -> Machine:
     from ambrose.machine.file.toml import load_machine
 
     return load_machine(machine)
+
+
+def _known_laws(
+    place: Machine | Plant, controller: Any, axial: Any, axes: str | None
+) -> tuple[Law, Law | None]:
+    """The law of the machine's own axes, and the one beside it of its thrust axis: those given,
+    else the PIDs of the machine file (None: it has none, or the first law holds it). Raises
+    InvalidInput.
+    """
+    from ambrose.law.loop import check_side
+    from ambrose.machine.machine import THRUST
+    from ambrose.model.plant import Plant as PlantType
+    from ambrose.synthesis.pid import machine_pid
+
+    machine = place.machine if isinstance(place, PlantType) else place
+    own = machine if axes is None else machine.only(axes)
+    law = machine_pid(own) if controller is None else controller_of(controller)
+    if axial is not None:
+        return law, controller_of(axial)
+    others = {} if axes is not None or place is not machine else machine.groups
+    along = others.get(THRUST)
+    if along is None or along is own or law.thrust is not None or along.reference is None:
+        return law, None
+    check_side(law.inputs, machine)
+    return law, machine_pid(along)
 
 
 def controller_of(controller: Any) -> Law:

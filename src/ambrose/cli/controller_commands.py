@@ -27,6 +27,7 @@ from ambrose.terminal import (
     kept_page,
     load,
     load_controller,
+    narrowed,
     one_screen,
     options_from,
     print_checks,
@@ -378,7 +379,7 @@ def trade_off(
 
 
 _GROUPS = {
-    "": ("path", "axial", "everywhere", "report", "everything"),
+    "": ("path", "axial", "axes", "everywhere", "report", "everything"),
     "On measured responses": ("measured", "running"),
     "The loop as it runs": ("rate", "delay_samples"),
     "Proofs while the machine moves": ("pressure_rate", "pressure_error", "speed_rate"),
@@ -392,8 +393,7 @@ _GROUPS = {
     "--controller",
     "path",
     type=click.Path(path_type=Path),
-    required=True,
-    help="A controller file (*.json).",
+    help="A controller file (*.json); default: the machine file's PID.",
 )
 @options_from(Verifying)
 @click.option(
@@ -427,7 +427,7 @@ _GROUPS = {
 @AS_JSON
 def verify(
     machine: str,
-    path: Path,
+    path: Path | None,
     measured: tuple[Path, ...],
     running: Path | None,
     report: Path | None,
@@ -437,7 +437,7 @@ def verify(
     **asked: Any,
 ) -> None:
     """Check a controller on the full plant: at every operating point of the machine, and over all
-    tolerances around each; or on the plant as measured.
+    tolerances around each; or on the plant as measured. With a thrust bearing all five axes.
     """
     from ambrose.api import verify as verified
     from ambrose.core.checks import invalid
@@ -445,9 +445,10 @@ def verify(
 
     options = asked_for(Verifying, asked)
     description = load(machine, part=False)
-    controller = load_controller(path, description)
+    controller = None if path is None else load_controller(path, description)
     if asked["axial"] is not None:
         options = replace(options, axial=load_controller(asked["axial"], description.axial))
+    options = replace(options, axes=narrowed())
     fastest = options.pressure_rate or description.operation.pressure_rate
     if options.pressure_error and fastest is None:
         raise invalid(
@@ -458,7 +459,9 @@ def verify(
         )
     if page is not None:
         settings = description.controller
-        if not controller.synchronous and not (settings is not None and settings.synchronous):
+        if (controller is None or not controller.synchronous) and not (
+            settings is not None and settings.synchronous
+        ):
             remedy = "design one with ambrose synthesize --synchronous current-free"
             raise invalid(
                 "--page", str(page), "given for a controller with a synchronous block", remedy
