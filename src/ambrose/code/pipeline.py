@@ -772,8 +772,8 @@ def _limits(
 def _known(value: ArrayLike | None, what: str, unit: str) -> ArrayLike:
     if value is None:
         remedy = (
-            "name the machine file, --machine my.toml (no bundled machine is the one it was made "
-            "for), or state it"
+            "state it, or name the machine file (--machine my.toml); the controller was made for "
+            "none of the bundled machines"
         )
         raise invalid(what, "unknown", f"given in {unit}", remedy)
     return value

@@ -223,8 +223,8 @@ def seal_terms(
             return [_force(term) for term in terms]
     remedy = "give operating points at pressures closer together, or the seal a smoother table"
     raise BentSeal(
-        f"seal {seal.name} is {off.max():.1%} off a polynomial of the pressure of degree "
-        f"{_MOST_POWERS}; {remedy}"
+        f"seal {seal.name} deviates by {off.max():.1%} from a polynomial of degree {_MOST_POWERS} "
+        f"in the pressure; {remedy}"
     )
 
 

@@ -86,6 +86,11 @@ def form(
     were printed, and same, what does the same.
     """
     own = {"fields": list(fields), "buttons": list(buttons), "live": live, "folded": folded}
+    # a button that needs one of no files cannot act, and says what is missing
+    empty = [item for item in own["fields"] if item["kind"] == "choice" and not item["options"]]
+    if empty:
+        off = f"There is no {empty[0]['label'].lower()} yet"
+        own["buttons"] = [{**item, "off": off} for item in buttons]
     return _block("form", key, title, hint=hint, tone=tone, **own, **more)
 
 
@@ -161,14 +166,15 @@ _MANY = 300_000  # letters of a picture that is left to the page itself
 
 
 def blocks_of(page: Page, width: int) -> list[Block]:
-    """Verdicts first, then every section; pictures that are no lines are left to the page."""
+    """The verdict first, then every section; pictures that are no lines are left to the page."""
     found = []
+    if page.result is not None:
+        tone = {True: "good", False: "bad"}.get(page.result.passed, "")
+        text = page.result.text[:1].upper() + page.result.text[1:]
+        found.append(words("verdict", text, tone=tone))
     if page.verdicts:
         rows = [(Cell(v.label, v.mark), v.text) for v in page.verdicts]
-        title = "Verdicts"
-        if page.result is not None:
-            title = page.result.text[:1].upper() + page.result.text[1:]
-        found.append(table("verdicts", rows_table(title, ("what", "verdict"), rows)))
+        found.append(table("verdicts", rows_table("Verdicts", ("what", "verdict"), rows)))
     for i, section in enumerate(page.sections):
         found += _pictures(f"section-{i}", section.figures, width)
         for k, known in enumerate(section.tables):

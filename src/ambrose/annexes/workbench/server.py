@@ -238,9 +238,7 @@ _TYPES = {
     ".css": "text/css; charset=utf-8",
     ".svg": "image/svg+xml",
 }
-ALL_JOBS = blocks.content(
-    [blocks.words("lead", "What was started on the other screens, the newest first.")], jobs=["*"]
-)
+ALL_JOBS = blocks.content([], jobs=["*"])  # what was started on the other screens
 _SERVED = (
     "another workbench serves this folder; open the address that it printed last, or end it first"
 )
@@ -285,6 +283,8 @@ def build(
         told = ALL_JOBS if name == "jobs" else await desk.ask(name, action, given)
         if told["whole"]:
             shown = [*told["blocks"], *jobs.shown(told["jobs"])]
+            if told["jobs"] and "verdict" not in [block["key"] for block in shown]:
+                shown.insert(0, jobs.verdict(told["jobs"]))
             told = {**told, "blocks": shown, "ended": jobs.ended()}
         return JSONResponse(told)
 

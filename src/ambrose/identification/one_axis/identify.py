@@ -645,7 +645,7 @@ def _unusable(result: GenericIdentification, referenced: bool) -> Iterator[Findi
             "needed; what noise drives tells the controller (-1/K), not the plant"
         )
         yield Finding(
-            Code.NO_EXCITATION, ERROR, "hardly anything drives the loop", evidence, _DRIVE_IT
+            Code.NO_EXCITATION, ERROR, "the loop has almost no excitation", evidence, _DRIVE_IT
         )
         return
     if referenced and result.pole > 0 and not result.coherence_in_band > result.chance:

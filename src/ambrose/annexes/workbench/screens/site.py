@@ -86,7 +86,7 @@ def show_acceptance(project: Project, given: Mapping[str, Any]) -> dict[str, Any
         "A record of the running machine with excitation on every axis, also from the live rig, "
         "and the controller that ran."
     )
-    buttons = [blocks.job("Measure and judge", "accept")]
+    buttons = [blocks.job("Measure and check", "accept")]
     form = blocks.form("accept", fields, buttons, "Accept the machine", hint=hint)
     same = blocks.same(
         f"ambrose accept {MACHINE} controllers/{controller} records/{record} -o reports/{_SIGNED}",
