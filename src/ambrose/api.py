@@ -91,6 +91,7 @@ def design(
     method: Method | str = "tuned",
     *,
     point: OperatingPoint | str | None = None,
+    axes: str | None = None,
     synchronous: str | None = None,
     synchronous_band: tuple[float, float] | None = None,
     synchronous_time: float | None = None,
@@ -108,13 +109,15 @@ def design(
     ``Lpv`` (scheduled over speed, pressure or both); or the name of one, "tuned", its options then
     by name: ``amb.design(machine, amb.Tuned(order=12))`` is ``amb.design(machine, "tuned",
     order=12)``. What each has stands with it, help(amb.Tuned). point: of the machine (None: the one
-    that designs are made for). synchronous: "current-free", "force-free", "vibration-free" or
-    "damping" (with a band), a block against unbalance beside it, on within synchronous_band [rad/s]
-    (None: from a tenth of the top speed), with the time constant synchronous_time [s] (None: as
-    short as the loop allows); base: the controller to add it to, in place of a new design. A
-    controller that does not hold the full plant comes back with status "unstable". Raises
+    that designs are made for). axes: "radial" or "thrust", the one group of axes (None: all, that
+    of the thrust axis in ``thrust``). synchronous: "current-free", "force-free", "vibration-free"
+    or "damping" (with a band), a block against unbalance beside it, on within synchronous_band
+    [rad/s] (None: from a tenth of the top speed), with the time constant synchronous_time [s]
+    (None: as short as the loop allows); base: the controller to add it to, in place of a new
+    design. A controller that does not hold the full plant comes back with status "unstable". Raises
     InvalidInput.
     """
+    from ambrose.model.plant import Plant as PlantType
     from ambrose.options import Rejecting
     from ambrose.synthesis.synchronous_design import in_words
 
@@ -125,11 +128,41 @@ def design(
         synchronous_update=synchronous_update,
         base=base,
     )
-    result, block = design_with_block(machine, method, asked, point, progress, **options)
+    own: Any = machine
+    others: tuple[Machine, ...] = ()
+    if isinstance(machine, PlantType):
+        if axes not in (None, machine.machine.group):
+            machine.machine.only(str(axes))
+    elif axes is not None:
+        own = machine_of(machine).only(axes)
+    elif base is None:
+        own, *rest = machine_of(machine).groups.values()
+        others = tuple(rest)
+    thrust = [design_thrust(part, method, point, progress, **options) for part in others]
+    result, block = design_with_block(own, method, asked, point, progress, **options)
+    result = replace(result, thrust=thrust[0]) if thrust else result
     if block is None:
         return result
     left_out = tuple(f"synchronous block: {in_words(item)}" for item in block.forbidden)
     return replace(result, notes=(*result.notes, *left_out, *block.notes))
+
+
+def design_thrust(
+    machine: Machine,
+    method: Method | str,
+    point: OperatingPoint | str | None,
+    progress: Progress,
+    **options: Any,
+) -> Synthesis:
+    """The controller of the thrust axis beside that of the radial axes. Raises InvalidInput that
+    says how to leave it out.
+    """
+    from ambrose.options import Rejecting
+
+    try:
+        return design_with_block(machine, method, Rejecting(), point, progress, **options)[0]
+    except InvalidInput as error:
+        raise InvalidInput(f"{error}; or leave it out: --axes radial") from error
 
 
 def design_with_block(

@@ -166,6 +166,37 @@ def test_one_file_holds_both_groups_and_each_command_takes_what_it_is_for(folder
     assert radial_alone["points"] == two["points"][:2]
 
 
+def test_both_groups_are_designed_into_one_file(folder):
+    """Each as by itself; what one group cannot have is told before the other is designed."""
+    line = "synthesize five.toml --method pid -o one.json"
+    done = run(folder, f"{line} --json")
+    assert done.exit_code in {0, 1}, done.output
+    summary, both = json.loads(done.stdout), read_controller(folder / "one.json")
+    assert both == amb.design(machine(), "pid")
+    axial = read_controller(folder / "pid.json")
+    assert both.thrust.outputs == ("u_T_z",)
+    assert np.array_equal(both.thrust.controller.A, axial.controller.A)
+    for group in ("radial", "thrust"):
+        alone = run(
+            folder, f"synthesize five.toml --axes {group} --method pid -o {group}.json --json"
+        )
+        told, found = json.loads(alone.stdout), read_controller(folder / f"{group}.json")
+        expected = summary["thrust"] if group == "thrust" else {**summary, "thrust": None}
+        assert {**told, "controller": None, "thrust": None} == {
+            **expected,
+            "controller": None,
+            "thrust": None,
+        }
+        assert found == (both.thrust if group == "thrust" else replace(both, thrust=None))
+    assert "thrust axis, pid controller" in run(folder, line).stdout
+    refused = run(folder, "synthesize five.toml --method lpv")
+    assert refused.exit_code == 2 and "or leave it out: --axes radial" in refused.stderr
+    refused = run(
+        folder, "synthesize five.toml --axes thrust --structure pid --machine-file new.toml"
+    )
+    assert refused.exit_code == 2 and "left out for the thrust axis" in refused.stderr
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
