@@ -563,6 +563,7 @@ def provenance(plant: Plant, method: Method) -> Provenance:
     content = {
         "method": method.name,
         **settings(methods(), method.on(machine)),
+        **method.evidence(),
         "point": asdict(plant.point),
         "plant_states": plant.system.n_states,
     }
