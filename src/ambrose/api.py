@@ -368,8 +368,10 @@ def export(
     name. machine: the one it is for; None: the bundled machine that it was made for. fallback: the
     fixed controller that takes over from one scheduled over pressure where the reading cannot be
     trusted (C only). replaces: the controller that runs now (C only); parameters.json then says
-    what changes in the tables of its code. Raises InvalidInput, and UnstableSystem where the
-    sampled loop does not hold the machine.
+    what changes in the tables of its code. options also take axial, the controller of the thrust
+    axis (None: that of ``controller``), and axes, "radial" or "thrust", the one group that is
+    written; both groups are one unit in C and FMU, else two. Raises InvalidInput, and
+    UnstableSystem where the sampled loop does not hold the machine.
     """
     from ambrose.code.pipeline import export as exported
 
@@ -388,14 +390,15 @@ def study(
     machine: Machine | str,
     directory: str | os.PathLike[str] = "study",
     *,
+    axes: str | None = None,
     progress: Progress = _quiet,
 ) -> Study:
     """The whole chain: every controller that the machine file allows, verified, tried, compared in
-    report.html.
+    report.html. axes: "radial" or "thrust", the one group of axes (None: all).
     """
     from ambrose.chain.study import study as studied
 
-    return studied(machine_of(machine), Path(directory), progress)
+    return studied(machine_of(machine), Path(directory), progress, axes)
 
 
 def plot(item: Any) -> Any:

@@ -336,11 +336,17 @@ def load(machine: str, *, magnets: bool = True, part: bool = True) -> Machine:
     if axes is not None:
         narrow = found.only(axes)
         found = narrow if axes == THRUST else found
-    elif part and len(found.groups) > 1:
-        say("note: the radial axes; --axes thrust takes the thrust axis", err=True)
+    elif part:
+        noted_part(found)
     if magnets:
         require_magnets(found)
     return found
+
+
+def noted_part(machine: Machine) -> None:
+    """Notes that what is done is of the radial axes, where the machine has others."""
+    if len(machine.groups) > 1:
+        say("note: the radial axes; --axes thrust takes the thrust axis", err=True)
 
 
 def load_controller(path: Path, machine: Machine) -> Synthesis:

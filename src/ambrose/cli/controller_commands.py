@@ -17,6 +17,7 @@ from ambrose.synthesis.methods import methods
 from ambrose.terminal import (
     ALL,
     AS_JSON,
+    AXES,
     MACHINE,
     GroupedCommand,
     asked_for,
@@ -28,6 +29,7 @@ from ambrose.terminal import (
     load,
     load_controller,
     narrowed,
+    noted_part,
     one_screen,
     options_from,
     print_checks,
@@ -682,7 +684,10 @@ def map_command(
 
 _WORD = "--to"
 _GROUPS_EXPORT = {
-    "": ("target", "output", "machine", "axial", "replaces", "name", "arithmetic", "rate", "force"),
+    "": (
+        *("target", "output", "machine", "axial", "axes", "replaces", "name", "arithmetic", "rate"),
+        "force",
+    ),
     "Scheduled controllers": (
         "speed_limit",
         "speed_rate",
@@ -728,8 +733,10 @@ _GROUPS_EXPORT = {
 @click.option(
     "--axial",
     type=click.Path(path_type=Path),
-    help="The controller of machine.toml#axial: both as one unit of all axes (C, FMU).",
+    help="The controller of the thrust axis, default: that of the file; both as one unit of all "
+    "axes (C, FMU) or as two.",
 )
+@AXES
 @click.option(
     "--replaces",
     type=click.Path(path_type=Path),
@@ -755,10 +762,19 @@ def export(
     from ambrose.api import export as exported
 
     chosen = chosen_from(TARGETS, target, asked, _WORD)
-    known = None if machine is None else load(machine)
-    laws = {"fallback": fallback, "replaces": replaces, "axial": axial}
+    known = None if machine is None else load(machine, part=False)
+    laws: dict[str, Any] = {"fallback": fallback, "replaces": replaces, "axial": axial}
     with progress_shown(as_json) as progress:
-        delivery = exported(controller, output, to=chosen, machine=known, progress=progress, **laws)
+        delivery = exported(
+            *(controller, output),
+            to=chosen,
+            machine=known,
+            axes=narrowed(),
+            progress=progress,
+            **laws,
+        )
+    if delivery.axial is None and narrowed() is None and known is not None:
+        noted_part(known)
     content = delivery.to_dict()
     if as_json:
         say_json(content)
@@ -771,6 +787,8 @@ def export(
             say(f"no parameters.json: {delivery.not_alike}", err=True)
         if delivery.trial is not None:
             say(f"{delivery.trial.processor.name}: {delivery.trial.text}", err=True)
+        if delivery.apart:
+            say(f"two units, the second of the thrust axis: {delivery.apart}", err=True)
         for path in content["files"]:
             say(path)
     sys.exit(0 if content["verified"] and not content["unmet_limits"] else 1)

@@ -204,10 +204,10 @@ def study_command(machine: str, output: Path | None, everything: bool, as_json: 
     from ambrose.report.tables import verdict
     from ambrose.synthesis.methods import methods
 
-    description = load(machine)
+    description = load(machine, part=False)
     directory = output or Path(f"study-{file_name(description.name)}")
     with progress_shown(as_json) as progress:
-        result = study(description, directory, progress=progress)
+        result = study(description, directory, axes=narrowed(), progress=progress)
     report = None if result.unwritten else directory / "report.html"
     if as_json:
         say_json({**result.to_dict(), "report": report and str(report)})

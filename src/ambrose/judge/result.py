@@ -418,7 +418,9 @@ class Synthesis(Presented, Law):
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Synthesis):
             return NotImplemented
-        one, two = ({**item.to_dict(), "provenance": None, "thrust": None} for item in (self, other))
+        one, two = (
+            {**item.to_dict(), "provenance": None, "thrust": None} for item in (self, other)
+        )
         return one == two and self.thrust == other.thrust
 
     __hash__ = None  # type: ignore[assignment]
