@@ -320,7 +320,7 @@ class Verifying(AsItRuns):
     """
 
     axial: LawLike | None = option(
-        None, "The controller of machine.toml#axial: the thrust axis is judged as well."
+        None, "The controller of machine.toml#axial: the thrust axis is checked as well."
     )
     tolerances: bool = option(True, "Over the tolerances as well.", flag=None)
     everywhere: bool = option(

@@ -1036,7 +1036,7 @@ def _stiffness(machine: Machine, margin: float | None) -> Iterator[str]:
         yield below_stiffness(margin)
     elif margin is not None and margin < _MARGIN:
         yield (
-            f"K_p k_i is only {margin:.3g} times k_s: hardly any stiffness is left; twice k_s/k_i "
+            f"K_p k_i is only {margin:.3g} times k_s: almost no stiffness is left; twice k_s/k_i "
             "is a good gain"
         )
 
@@ -1046,19 +1046,19 @@ def _places(machine: Machine, rotor: Rotor) -> Iterator[str]:
     thick = max(section.outer_diameter for section in machine.shaft)
     if len(places) == 1 and machine.length > _SHORT * thick:
         yield (
-            f"one bearing cannot hold the tilting of a rotor {machine.length:.3g} m long; add a "
+            f"one bearing cannot carry the tilting of a rotor {machine.length:.3g} m long; add a "
             "second with its sensor"
         )
     elif len(places) > 1 and np.ptp(places) < 0.05 * machine.length:
         yield (
-            f"the bearings stand {1e3 * np.ptp(places):.3g} mm apart: nothing holds the rotor's "
-            "tilting; check position"
+            f"the bearings stand {1e3 * np.ptp(places):.3g} mm apart: nothing carries the "
+            "rotor's tilting; check position"
         )
     for bearing, _, frequency, at, measured in _seen(machine, rotor, 1):
         what = f"the first bending mode ({frequency / HERTZ:.4g} Hz)"
         if abs(measured) < _NODE:
             yield (
-                f"the sensor of bearing {bearing} is at a node of {what} and hardly sees it; "
+                f"the sensor of bearing {bearing} is at a node of {what} and barely measures it; "
                 "move it along the shaft"
             )
         elif at * measured < 0 and abs(at) > _NODE:
@@ -1128,8 +1128,8 @@ def _operation(machine: Machine, critical: list[float]) -> Iterator[str]:
     tip = top_speed(machine) * thick / 2
     if tip > 700:
         yield (
-            f"the shaft's surface runs at {tip:,.4g} m/s, which no steel stands; check the unit of "
-            "the speed"
+            f"the shaft's surface runs at {tip:,.4g} m/s, which no steel withstands; check the "
+            "unit of the speed"
         )
 
 
@@ -1170,8 +1170,8 @@ def _not_held(machine: Machine) -> Iterator[str]:
             lost.append(point.label)
     if lost:
         yield (
-            f"the [controller] does not hold {', '.join(lost)}: tuned may start from it, method "
-            "pid cannot be used there"
+            f"the [controller] is unstable at {', '.join(lost)}: use method tuned, which may start "
+            "from it, not method pid"
         )
 
 
@@ -1185,7 +1185,8 @@ def _remarks(machine: Machine) -> Iterator[str]:
         yield "no reference controller: method pid needs one, tuned starts from a first guess"
     if machine_timing(machine) is None:
         yield (
-            "no sample_time in [controller]: loops are judged as continuous unless a rate is given"
+            "no sample_time in [controller]: the loop is checked as continuous unless a rate is "
+            "given"
         )
     if machine.gravity_direction is None:
         yield "no gravity_direction: the rotor has no weight on the rig"
@@ -1195,7 +1196,7 @@ def _remarks(machine: Machine) -> Iterator[str]:
             f"no speed_range: it is taken to run from {low * _RPM:,.6g} to {high * _RPM:,.6g} rpm, "
             "as its points turn"
             if high
-            else "no speed_range: nothing is judged between the operating points"
+            else "no speed_range: nothing is checked between the operating points"
         )
     turned = [
         p
@@ -1209,7 +1210,7 @@ def _remarks(machine: Machine) -> Iterator[str]:
             "turns it to the magnets"
         )
     if not machine.tolerances:
-        yield "no [[tolerance]]: what is verified holds for these very numbers"
+        yield "no [[tolerance]]: a verification covers these values alone"
 
 
 def facts(machine: Machine, file: str | None = None) -> dict[str, Any]:

@@ -143,7 +143,7 @@ def synthesize(
             plant or description, chosen, block_options, progress=progress
         )
         if plant is not None and result.method == "hinf" and point is None and result.lost:
-            progress("looking for a point whose design holds all")
+            progress("searching for a point whose design is stable at all points")
             result = replace(result, notes=(*result.notes, another_point(plant, chosen)))
     failure = kept(lambda path: write_controller(path, result), output)
     if machine_file is not None and result.filters is not None:
@@ -239,7 +239,7 @@ def _beside(numbers: dict[str, Any]) -> list[str]:
     as_run = numbers.get("sampled_sensitivity_peak")
     if without is None or as_run is None:
         return []
-    words = "continuous: the law without its sampling, hold and delay, which no loop runs"
+    words = "continuous: the law without sampling, hold and delay, as no loop runs"
     apart = max(without / as_run, as_run / without)
     if apart > _APART:
         words += (
@@ -557,7 +557,7 @@ def _say_in_full(result: Verification, unproved: Sequence[str], everything: bool
             "the schedule does not cover them, in what it is scheduled over or in what it was "
             "designed at"
         )
-        say(f"Not judged, which does not pass: {'; '.join(result.left_out)}; {why}.")
+        say(f"Not checked, which does not pass: {'; '.join(result.left_out)}; {why}.")
 
 
 # `ambrose map`.

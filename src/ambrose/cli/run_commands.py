@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 _GROUPS = {
     "": ("path", "scenario", "point", "output", "report"),
     "The run": ("axial", "linear", "rate", "delay_samples", "bending_modes", "seed", "second"),
-    "A fallback beside a controller scheduled over pressure": (
+    "A fallback for a controller scheduled over pressure": (
         "fallback",
         "pressure_rate",
         "pressure_error",

@@ -211,7 +211,7 @@ class Mat(Target):
     """A MAT-file for MATLAB and Octave, in double precision."""
 
     to: ClassVar[str] = "mat"
-    beside: ClassVar[str] = "a MAT-file holds the linear law alone"
+    beside: ClassVar[str] = "a MAT-file contains the linear law alone"
 
     def files(
         self,

@@ -197,7 +197,7 @@ def loop_in_words(timing: str) -> str:
 def unchecked(result: Verification) -> list[str]:
     """What a verification does not cover, a sentence for each kind."""
     sentences = [
-        f"Not judged: the {axis}; --axial takes its controller." for axis in result.not_judged
+        f"Not checked: the {axis}. Give its controller with --axial." for axis in result.not_judged
     ]
     if result.left_out:
         names = "; ".join(result.left_out)
@@ -213,13 +213,16 @@ def still(not_varied: Sequence[str]) -> list[str]:
     ``model.uncertainty.not_varied`` words them; another reason in full.
     """
     sentences, left = [], list(not_varied)
-    for ending, why in (("(zero here)", "zero there"), (" only)", "given for other points")):
+    for ending, why in (
+        ("(zero here)", "coefficient is zero"),
+        (" only)", "stated for other points"),
+    ):
         ended = [words for words in left if words.endswith(ending)]
         left = [words for words in left if not words.endswith(ending)]
         counts = Counter(words.partition(": ")[0] for words in ended)
         if counts:
             where = ", ".join(f"{count} at {label}" for label, count in counts.items())
-            sentences.append(f"Parameters not varied ({why}): {where}.")
+            sentences.append(f"Tolerances without effect ({why}): {where}.")
     return [*sentences, *(f"Not varied around {words}." for words in left)]
 
 

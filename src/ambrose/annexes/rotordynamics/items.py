@@ -123,7 +123,7 @@ def unstable(where: str) -> Item:
         "-",
         passed=False,
         note=f"{where}; the rest of the analysis has no meaning on an unstable loop: design a "
-        "controller that holds it first",
+        "stabilising controller first",
     )
 
 

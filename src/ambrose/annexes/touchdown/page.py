@@ -481,7 +481,7 @@ def verdict_text(result: Landing) -> str:
     decides = f"{worst.title} {_valued(worst.value, worst.unit)}, {worst.place}"
     decides += f" (limit {_valued(worst.limit or 0.0, worst.unit)})"
     if not failed:
-        return f"all {len(judged)} limits are met over {over}; nearest: {decides}"
+        return f"all {len(judged)} limits are met over {over}; tightest: {decides}"
     verb = "is" if len(failed) == 1 else "are"
     words = f"{len(failed)} of {len(judged)} limits {verb} not met over {over}"
     return f"{words}; {'furthest beyond its limit: ' if len(failed) > 1 else ''}{decides}"
