@@ -194,7 +194,7 @@ CASES = {
     "delay": (
         lambda m: replace(m, controller=replace(m.controller, sample_time=1e-3, delay=8e-3)),
         r"no controller can: the unstable pole at 23.9 Hz and the delay of 8.5 ms keep S above "
-        r"5.29, and 3 is asked; sample",
+        r"5.29, and the limit is 3; sample",
     ),
     "rate": (
         lambda m: replace(m, controller=replace(m.controller, sample_time=1e-2)),

@@ -591,8 +591,8 @@ def _pressures(machine: Machine) -> Iterator[str]:
             yield (
                 f'operating point "{point.label}" has {_pressure(point.seal_pressure)} across seal '
                 f"{seal.name}, {point.seal_pressure / reference:.3g} times its reference_pressure, "
-                f"{_pressure(reference)}: its coefficients hardly hold so far away; correct one of "
-                "the two"
+                f"{_pressure(reference)}: its coefficients are not valid so far from it; correct "
+                "one of the two"
             )
 
 
@@ -825,7 +825,7 @@ def insight(plant: Plant) -> dict[str, Any]:
                 *entry_doubts(machine),
                 *_mesh_of_check(bending, errors),
             ],
-            "remarks": ["no magnetic bearings: ambrose lateral analyses the rotor as it stands"],
+            "remarks": ["no magnetic bearings: ambrose lateral analyses the rotor without control"],
         }
     bearings = capacities(machine, properties)
     margin = stiffness_margin(machine)
@@ -1142,8 +1142,8 @@ def _timing(
         yield line
     elif least > 0.7 * limit:
         yield (
-            f"{unavoidable_words(least, pole, delay)}: little is left below the {limit:g} that is "
-            "asked; sample faster"
+            f"{unavoidable_words(least, pole, delay)}: the limit of {limit:g} leaves little "
+            "margin; sample faster"
         )
     if timing is not None and timing.rate * HERTZ < 10 * max(top_speed(machine), pole):
         what = f"the {max(top_speed(machine), pole) / HERTZ:.4g} Hz of speed or unstable pole"

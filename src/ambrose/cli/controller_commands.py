@@ -483,7 +483,8 @@ def verify(
             description, result.synchronous, loop=result.timing, controller=result.controller
         )
         failure = kept(lambda path: write(blocks, path), page)
-    failure = kept_page(result, report, description, called="report") or failure
+    named = replace(result, controller=f"{controller.name}, {result.controller}")
+    failure = kept_page(named, report, description, called="report") or failure
     if as_json:
         say_json({"machine": description.name, **result.to_dict()})
     else:

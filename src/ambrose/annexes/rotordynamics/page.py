@@ -608,7 +608,10 @@ def deciding_table(result: Lateral) -> Table:
     """The requirements that are not met or have no known value, then those nearest to the limit."""
     judged = [item for item in result.items if item.passed is not None or item.unjudged]
     judged.sort(key=lambda item: (item.passed is True, -_share(item)))
-    rows = tuple((item.title, *_summary_row(item)[1:4]) for item in judged[:_DECIDE])
+    # the log decrement is asked for in any case
+    damped = [item for item in judged[_DECIDE:] if item.name.startswith("level_two")]
+    shown = [*judged[: _DECIDE - len(damped[:1])], *damped[:1]]
+    rows = tuple((item.title, *_summary_row(item)[1:4]) for item in shown)
     more = len(judged) - len(rows)
     note = f"{more} more requirements: summary sheet." if more else ""
     return Table("", ("Requirement, tightest first", "Verdict", "Value", "Limit"), rows, note)

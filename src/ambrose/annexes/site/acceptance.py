@@ -126,7 +126,7 @@ def judged_reach(
     hidden = ~told & (predicted >= np.maximum(_NEAR_PEAK * predicted.max(axis=0), high))
     at_peak = [
         f"the predicted peak of {name} at {omega[predicted[:, i].argmax()] / TWO_PI:.4g} Hz is "
-        "not told"
+        "not measured"
         for i, name in enumerate(names)
         if hidden[:, i].any()
     ]
@@ -957,7 +957,7 @@ def _checks(
         "Highest frequency measured",
         measured,
         "rad/s",
-        f"asked for: {highest / TWO_PI:.4g} Hz",
+        f"required: {highest / TWO_PI:.4g} Hz",
     )
 
     # not measured as high as asked, and still near the peak at the last lines: the peak may
@@ -1000,7 +1000,7 @@ def _peak(
         f"95 %: {low.max():.3g} to {top:.3g}; predicted peak {predicted.max():.4g} at {at:.4g} Hz"
     )
     if not told.all():
-        beside += f"; {100 * share(omega, told):.3g} % of the band told"
+        beside += f"; {100 * share(omega, told):.3g} % of the band measured"
     detail = f"at {omega[k] / TWO_PI:.4g} Hz; {beside}"
     check = judge(name, title, top, "-", wanted, detail)
     met = None if check.limit is None else holds(top, check.relation, check.limit)

@@ -607,7 +607,7 @@ def frf(
 
 
 # a step's verdict: passed, failed, or nothing to judge
-_WORDS = {True: "holds", False: "does not hold", None: "for information"}
+_WORDS = {True: "passed", False: "failed", None: "for information"}
 
 
 @click.command()

@@ -560,7 +560,7 @@ def drop_section(result: Landing) -> Section:
     )
     down = result.down
     stands = f"{down.time:.4g} s" if np.isfinite(down.time) else "no time: nothing slows it"
-    note = f"After these {result.duration:.3g} s the rotor stands within {stands} (estimated)."
+    note = f"After these {result.duration:.3g} s the rotor stops within {stands} (estimated)."
     if result.recovery is not None:
         at, back = 1e3 * result.recovery.start, result.recovery.time
         found = f"free of contact {1e3 * back:.4g} ms later" if np.isfinite(back) else "not free"
