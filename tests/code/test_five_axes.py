@@ -32,7 +32,7 @@ def machine():
 
 @cache
 def laws():
-    return amb.design(machine(), "pid"), amb.design(machine().axial, "pid")
+    return amb.design(machine(), "pid", axes="radial"), amb.design(machine().axial, "pid")
 
 
 @cache

@@ -318,6 +318,8 @@ _POWER, _IMPELLER = 1e3, 0.1
 _NARROW = 0.006
 # between the largest and the least singular value of T: axes and bearings differ by ten
 _UNEVEN, _NOTHING = 1e4, 1e-12
+# [rad/s] between which filters have their corners, as ranges.toml has it of their frequencies
+_SLOW, _QUICK = 0.1 * _HERTZ, 1e6 * _HERTZ
 # between a stage's rated speed and the machine's: about the root of 9.55 rpm per rad/s, half way to
 # a mistaken unit
 _SPEEDS = 3.0
@@ -341,6 +343,7 @@ def entry_doubts(machine: Machine) -> Iterator[str]:
     yield from _mass_diameter(machine)
     yield from _sensors(machine)
     yield from _uneven_blocks(machine)
+    yield from _filter_corners(machine)
     yield from _pressures(machine)
     yield from _discs(machine)
     yield from _balanced_at(machine)
@@ -351,6 +354,23 @@ def entry_doubts(machine: Machine) -> Iterator[str]:
     for _, part in attached(machine):
         if isinstance(part, Stage):
             yield from _stage(machine, part)
+
+
+def _filter_corners(machine: Machine) -> Iterator[str]:
+    """Sections of coefficients whose zeros or poles lie where no filter has its corner."""
+    for channel in machine.controller.channels if machine.controller else ():
+        for k, section in enumerate(channel.sections, 1):
+            for key in ("numerator", "denominator"):
+                # of a polynomial in s its roots [rad/s]; those at zero integrate or differentiate
+                corners = np.abs(np.roots(getattr(section, key) or ()))
+                far = corners[(corners > 0) & ((corners < _SLOW) | (corners > _QUICK))]
+                if far.size:
+                    yield (
+                        f"[[controller.channel]] {', '.join(channel.names)}, section {k}: a root "
+                        f"of its {key} lies at {far[0] / _HERTZ:.3g} Hz, where no filter has a "
+                        "corner; check the order of its coefficients, of s^2, s and 1 with s in "
+                        "rad/s"
+                    )
 
 
 def without_coefficients(machine: Machine) -> Iterator[str]:

@@ -156,7 +156,7 @@ def study(
     """
     with claimed(make_folder(directory), "study"):
         result = _study(machine, Path(directory), progress)
-        if not machine.has_axis:
+        if len(machine.groups) < 2:
             return result
         progress("the axis along the shaft")
         beside = make_folder(Path(directory) / "axial")

@@ -22,6 +22,7 @@ from ambrose.terminal import (
     kept_page,
     load,
     load_controller,
+    narrowed,
     options_from,
     print_checks,
     print_table,
@@ -39,7 +40,9 @@ if TYPE_CHECKING:
 
 _GROUPS = {
     "": ("path", "scenario", "point", "output", "report"),
-    "The run": ("axial", "linear", "rate", "delay_samples", "bending_modes", "seed", "second"),
+    "The run": (
+        *("axial", "axes", "linear", "rate", "delay_samples", "bending_modes", "seed", "second"),
+    ),
     "A fallback for a controller scheduled over pressure": (
         "fallback",
         "pressure_rate",
@@ -83,8 +86,7 @@ class OnTarget(Simulating):
     "--controller",
     "path",
     type=click.Path(path_type=Path),
-    required=True,
-    help="A controller file (*.json).",
+    help="A controller file (*.json); default: the machine file's PID.",
 )
 @click.option(
     "--scenario", required=True, help="A scenario file (*.toml) or the name of a bundled scenario."
@@ -104,7 +106,7 @@ class OnTarget(Simulating):
 @AS_JSON
 def simulate(
     machine: str,
-    path: Path,
+    path: Path | None,
     scenario: str,
     point: str | None,
     report: Path | None,
@@ -121,16 +123,17 @@ def simulate(
     from ambrose.law.loop import DEFAULT, timing_in_words, timing_of
     from ambrose.record.files import check_suffix, write_record
     from ambrose.report.record import REACHED, run_result
+    from ambrose.synthesis.pid import machine_pid
 
     chosen = asked_for(OnTarget, asked)
     options = chosen.values()
     target, words = options.pop("on_target"), options.pop("arithmetic")
-    description = load(machine)
-    controller = load_controller(path, description)
+    description = load(machine, part=False)
+    controller = machine_pid(description) if path is None else load_controller(path, description)
     check_suffix(output)
     claim(record=output, report=report)
     growing = not chosen.linear and output.suffix.lower() != ".csv"
-    options |= {"point": point, "path": output if growing else None}
+    options |= {"axes": narrowed(), "point": point, "path": output if growing else None}
     for name in ("second", "axial", "fallback"):
         if options[name] is not None:
             place = description.axial if name == "axial" else description

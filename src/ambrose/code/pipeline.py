@@ -49,7 +49,7 @@ from ambrose.law.loop import DEFAULT, Timing, check_side, match_axes, timing_of
 from ambrose.law.supervision import check_pair, supervision_limits
 from ambrose.law.synchronous import check_blocks, running_law, synchronous_loop
 from ambrose.machine.file.toml import bundled_machines, load_machine, machine_hash
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import THRUST, AxialMachine, Machine
 from ambrose.machine.ordinary_file import check_place, claimed, write_files
 from ambrose.machine.part import Synchronous
 from ambrose.model.assemble import assemble
@@ -226,7 +226,7 @@ def axial_target(target: Target, machine: Machine | None, timing: Timing | None)
             "a unit of all axes is not tried on a processor as a whole; export each controller by "
             "itself with --try-on or --bare-metal, then both together without"
         )
-    if machine is None or not machine.has_axis:
+    if machine is None or THRUST not in machine.groups:
         raise InvalidInput(
             "the machine has no thrust bearing; name its file with --machine, without #axial, or "
             "leave the axial controller out"
@@ -510,7 +510,7 @@ def _along(
             "the axial controller is exported together with the radial one; name the radial "
             "controller first, and the machine without #axial"
         )
-    known = machine.axial if machine is not None and machine.has_axis else None
+    known = None if machine is None else machine.groups.get(THRUST)
     found = _synthesis(axial, known)
     if found.scheduled is not None or len(found.controller.inputs) != 1:
         raise invalid(

@@ -200,7 +200,8 @@ _FEW = 3  # tolerances that the head of a page names
 def unchecked(result: Verification) -> list[str]:
     """What a verification does not cover, a sentence for each kind."""
     sentences = [
-        f"Not checked: the {axis}. Give its controller with --axial." for axis in result.not_judged
+        f"Not checked: the {axis}. Give its controller (--axial), or narrow with --axes radial."
+        for axis in result.not_judged
     ]
     if result.left_out:
         names = "; ".join(result.left_out)
@@ -465,7 +466,8 @@ def deciding_verdict(verification: Verification) -> str:
     failed = [check for check in judged if not check.passed]
     thrust = sum(checks.label.startswith(THRUST) for checks in verification.points)
     points, boxes = len(verification.points) - thrust, len(verification.boxes)
-    scope = "radial axes, " if verification.not_judged else ""
+    alone = {"radial": "radial axes, ", "thrust": "thrust axis, "}
+    scope = alone[verification.axes[0]] if len(verification.axes) == 1 else ""
     scope += f"radial axes and thrust axis ({thrust} states), " if thrust else ""
     scope += f"{points} operating point{'s' * (points != 1)}"
     scope += f", {verification.between}" if verification.between else ""
@@ -487,6 +489,8 @@ def deciding_verdict(verification: Verification) -> str:
             f"FAILED: {len(failed)} of {len(judged)} requirements are not met ({scope}, {loop})."
         )
         words += f" Unstable: {'; '.join(unstable)}." if unstable else ""
+    elif verification.not_judged:
+        words = f"FAILED: the {verification.not_judged[0]} has no controller ({scope}, {loop})."
     else:
         words = f"FAILED: the controller does not cover all operating points ({scope}, {loop})."
     if (nearest := tightest(verification)) is None:

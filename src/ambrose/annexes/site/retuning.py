@@ -532,6 +532,7 @@ def _verified(chain: _Chain, law: Synthesis, *, tolerances: bool = True) -> Veri
         return verify_controller(
             done.machine,
             law,
+            axes=done.machine.group,
             tolerances=tolerances,
             everywhere=True,
             rate=timing.rate,

@@ -348,7 +348,7 @@ def _judge(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     from ambrose.judge.verdict import verify_controller
 
     machine, result = _synthesis(project, given)
-    verified = verify_controller(machine, result, tolerances=False)
+    verified = verify_controller(machine, result, axes=machine.group, tolerances=False)
     overview = tables.overview_tables([checks for _, checks in verified.labelled])
     found = [
         blocks.table(key, replace(item, title=f"Full plant: {item.title}"))
