@@ -125,6 +125,8 @@ def main(folder, *names):
     (folder / "printed").mkdir(parents=True, exist_ok=True)
     for path in FILES.iterdir():
         shutil.copy(path, folder)
+    theirs = folder / "theirs.csv"  # of two decimal marks, which is refused
+    theirs.write_text(theirs.read_text("utf-8").replace(",", "."), "utf-8")
     with (
         sync_playwright() as driver,
         (folder / "first_screens.jsonl").open("a", encoding="utf-8") as results,

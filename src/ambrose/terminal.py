@@ -368,8 +368,7 @@ def load_controller(path: Path, machine: Machine) -> Synthesis:
             else f"other numbers of {machine.name}"
         )
         say(
-            f"note: {path} was made for {other}; what is said here is about {machine.name} as it "
-            "is given",
+            f"note: {path} was made for {other}; results are for {machine.name} as given",
             err=True,
         )
     return result
@@ -650,7 +649,7 @@ def claim(**places: Path | None) -> None:
         check_file(path, what)
         if (other := known.setdefault(os.path.realpath(path), what)) != what:
             raise InvalidInput(
-                f"{path} is to hold the {other} and the {what}; give one of them another name"
+                f"{path} is named for the {other} and the {what}; give one of them another name"
             )
         if (
             (suffix := _SUFFIX.get(what, "")) != path.suffix.lower()

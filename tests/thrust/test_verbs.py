@@ -91,7 +91,7 @@ def test_all_five_axes_are_judged_as_each_is_alone(folder):
     held = replace(unknown, points=(Checks("rated", True, ()),))
     assert deciding_verdict(held).startswith("FAILED: the thrust axis has no controller (radial")
     assert replace(held, not_judged=()).passed
-    assert "Not judged: the thrust axis. Give its controller" in unchecked(unknown)[0]
+    assert "Not checked: the thrust axis. Give its controller" in unchecked(unknown)[0]
     assert (
         f"thrust axis ({len(thrust.points)} states), {len(alone.points)} oper"
         in deciding_verdict(both)

@@ -614,8 +614,8 @@ def _pressures(machine: Machine) -> Iterator[str]:
             yield (
                 f'operating point "{point.label}" has {_pressure(point.seal_pressure)} across seal '
                 f"{seal.name}, {point.seal_pressure / reference:.3g} times its reference_pressure, "
-                f"{_pressure(reference)}: its coefficients hardly hold so far away; correct one of "
-                "the two"
+                f"{_pressure(reference)}: its coefficients are not valid so far from it; correct "
+                "one of the two"
             )
 
 
@@ -848,7 +848,7 @@ def insight(plant: Plant) -> dict[str, Any]:
                 *entry_doubts(machine),
                 *_mesh_of_check(bending, errors),
             ],
-            "remarks": ["no magnetic bearings: ambrose lateral analyses the rotor as it stands"],
+            "remarks": ["no magnetic bearings: ambrose lateral analyses the rotor without control"],
         }
     bearings = capacities(machine, properties)
     margin = stiffness_margin(machine)
@@ -1059,7 +1059,7 @@ def _stiffness(machine: Machine, margin: float | None) -> Iterator[str]:
         yield below_stiffness(margin)
     elif margin is not None and margin < _MARGIN:
         yield (
-            f"K_p k_i is only {margin:.3g} times k_s: hardly any stiffness is left; twice k_s/k_i "
+            f"K_p k_i is only {margin:.3g} times k_s: almost no stiffness is left; twice k_s/k_i "
             "is a good gain"
         )
 
@@ -1069,19 +1069,19 @@ def _places(machine: Machine, rotor: Rotor) -> Iterator[str]:
     thick = max(section.outer_diameter for section in machine.shaft)
     if len(places) == 1 and machine.length > _SHORT * thick:
         yield (
-            f"one bearing cannot hold the tilting of a rotor {machine.length:.3g} m long; add a "
+            f"one bearing cannot carry the tilting of a rotor {machine.length:.3g} m long; add a "
             "second with its sensor"
         )
     elif len(places) > 1 and np.ptp(places) < 0.05 * machine.length:
         yield (
-            f"the bearings stand {1e3 * np.ptp(places):.3g} mm apart: nothing holds the rotor's "
-            "tilting; check position"
+            f"the bearings stand {1e3 * np.ptp(places):.3g} mm apart: nothing carries the "
+            "rotor's tilting; check position"
         )
     for bearing, _, frequency, at, measured in _seen(machine, rotor, 1):
         what = f"the first bending mode ({frequency / HERTZ:.4g} Hz)"
         if abs(measured) < _NODE:
             yield (
-                f"the sensor of bearing {bearing} is at a node of {what} and hardly sees it; "
+                f"the sensor of bearing {bearing} is at a node of {what} and barely measures it; "
                 "move it along the shaft"
             )
         elif at * measured < 0 and abs(at) > _NODE:
@@ -1151,8 +1151,8 @@ def _operation(machine: Machine, critical: list[float]) -> Iterator[str]:
     tip = top_speed(machine) * thick / 2
     if tip > 700:
         yield (
-            f"the shaft's surface runs at {tip:,.4g} m/s, which no steel stands; check the unit of "
-            "the speed"
+            f"the shaft's surface runs at {tip:,.4g} m/s, which no steel withstands; check the "
+            "unit of the speed"
         )
 
 
@@ -1165,8 +1165,8 @@ def _timing(
         yield line
     elif least > 0.7 * limit:
         yield (
-            f"{unavoidable_words(least, pole, delay)}: little is left below the {limit:g} that is "
-            "asked; sample faster"
+            f"{unavoidable_words(least, pole, delay)}: the limit of {limit:g} leaves little "
+            "margin; sample faster"
         )
     if timing is not None and timing.rate * HERTZ < 10 * max(top_speed(machine), pole):
         what = f"the {max(top_speed(machine), pole) / HERTZ:.4g} Hz of speed or unstable pole"
@@ -1193,8 +1193,8 @@ def _not_held(machine: Machine) -> Iterator[str]:
             lost.append(point.label)
     if lost:
         yield (
-            f"the [controller] does not hold {', '.join(lost)}: tuned may start from it, method "
-            "pid cannot be used there"
+            f"the [controller] is unstable at {', '.join(lost)}: use method tuned, which may start "
+            "from it, not method pid"
         )
 
 
@@ -1208,7 +1208,8 @@ def _remarks(machine: Machine) -> Iterator[str]:
         yield "no reference controller: method pid needs one, tuned starts from a first guess"
     if machine_timing(machine) is None:
         yield (
-            "no sample_time in [controller]: loops are judged as continuous unless a rate is given"
+            "no sample_time in [controller]: the loop is checked as continuous unless a rate is "
+            "given"
         )
     if machine.gravity_direction is None:
         yield "no gravity_direction: the rotor has no weight on the rig"
@@ -1218,7 +1219,7 @@ def _remarks(machine: Machine) -> Iterator[str]:
             f"no speed_range: it is taken to run from {low * _RPM:,.6g} to {high * _RPM:,.6g} rpm, "
             "as its points turn"
             if high
-            else "no speed_range: nothing is judged between the operating points"
+            else "no speed_range: nothing is checked between the operating points"
         )
     turned = [
         p
@@ -1232,7 +1233,7 @@ def _remarks(machine: Machine) -> Iterator[str]:
             "turns it to the magnets"
         )
     if not machine.tolerances:
-        yield "no [[tolerance]]: what is verified holds for these very numbers"
+        yield "no [[tolerance]]: a verification covers these values alone"
 
 
 def facts(machine: Machine, file: str | None = None, axes: str | None = None) -> dict[str, Any]:

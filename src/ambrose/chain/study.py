@@ -267,7 +267,7 @@ def _candidates(plants: tuple[Plant, ...], directory: Path, progress: Progress) 
         try:
             made, meanwhile = _side_by_side(groups, workers, plants, directory, progress)
         except BrokenProcessPool:
-            progress("a process beside this one died (short of memory?): going on in this one")
+            progress("a worker process died (short of memory?): going on in this one")
     if not made:
         for group in groups:
             made |= _group_made(group, plants, directory, progress)

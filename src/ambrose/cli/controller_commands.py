@@ -154,7 +154,7 @@ def synthesize(
             plant or description, chosen, block_options, progress=progress
         )
         if plant is not None and result.method == "hinf" and point is None and result.lost:
-            progress("looking for a point whose design holds all")
+            progress("searching for a point whose design is stable at all points")
             result = replace(result, notes=(*result.notes, another_point(plant, chosen)))
         result = replace(result, thrust=result.thrust if thrust is None else thrust)
     failure = kept(lambda path: write_controller(path, result), output)
@@ -268,7 +268,7 @@ def _beside(numbers: dict[str, Any]) -> list[str]:
     as_run = numbers.get("sampled_sensitivity_peak")
     if without is None or as_run is None:
         return []
-    words = "continuous: the law without its sampling, hold and delay, which no loop runs"
+    words = "continuous: the law without sampling, hold and delay, as no loop runs"
     apart = max(without / as_run, as_run / without)
     if apart > _APART:
         words += (
@@ -514,7 +514,8 @@ def verify(
             description, result.synchronous, loop=result.timing, controller=result.controller
         )
         failure = kept(lambda path: write(blocks, path), page)
-    failure = kept_page(result, report, description, called="report") or failure
+    named = replace(result, controller=f"{controller.name}, {result.controller}")
+    failure = kept_page(named, report, description, called="report") or failure
     if as_json:
         say_json({"machine": description.name, **result.to_dict()})
     else:
@@ -588,7 +589,7 @@ def _say_in_full(result: Verification, unproved: Sequence[str], everything: bool
             "the schedule does not cover them, in what it is scheduled over or in what it was "
             "designed at"
         )
-        say(f"Not judged, which does not pass: {'; '.join(result.left_out)}; {why}.")
+        say(f"Not checked, which does not pass: {'; '.join(result.left_out)}; {why}.")
 
 
 # `ambrose map`.

@@ -244,7 +244,7 @@ def _asked(given: dict[str, Any]) -> dict[str, Any]:
             break
         discs.append(answer)
     if not given["vertical"]:
-        answers["vertical"] = click.confirm("Does the rotor stand upright", default=False, err=True)
+        answers["vertical"] = click.confirm("Is the rotor vertical", default=False, err=True)
     return {**answers, "discs": discs}
 
 

@@ -43,7 +43,7 @@ _GROUPS = {
     "The run": (
         *("axial", "axes", "linear", "rate", "delay_samples", "bending_modes", "seed", "second"),
     ),
-    "A fallback beside a controller scheduled over pressure": (
+    "A fallback for a controller scheduled over pressure": (
         "fallback",
         "pressure_rate",
         "pressure_error",

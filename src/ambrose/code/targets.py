@@ -212,8 +212,8 @@ class Mat(Target):
     """A MAT-file for MATLAB and Octave, in double precision."""
 
     to: ClassVar[str] = "mat"
-    apart: ClassVar[str] = "a MAT-file holds one law"
-    beside: ClassVar[str] = "a MAT-file holds the linear law alone"
+    apart: ClassVar[str] = "a MAT-file contains one law"
+    beside: ClassVar[str] = "a MAT-file contains the linear law alone"
 
     def files(
         self,

@@ -862,7 +862,7 @@ def _checks(
     if not whole:
         missing = [axis for axis in plant.axes if axis not in axes]
         reason = (
-            "each by itself, the largest singular value is not told; sweep every axis while all "
+            "each by itself, the largest singular value is unknown; sweep every axis while all "
             "displacements are recorded"
         )
         if missing:

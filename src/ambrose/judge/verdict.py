@@ -599,7 +599,7 @@ def _unjudged(check: Check) -> Check:
         check,
         limit=None,
         passed=None,
-        detail=f"{check.detail}, which is judged by the sampled one below",
+        detail=f"{check.detail}, which the sampled one below replaces",
     )
 
 

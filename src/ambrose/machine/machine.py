@@ -228,7 +228,7 @@ def require_magnets(machine: MachineDescription) -> None:
     if not machine.axes:
         raise InvalidInput(
             f"{machine.name} has no magnetic bearings, so that there is nothing to control; give "
-            "it [[bearing]] tables, or take a command that does without: check, convert, lateral"
+            "it [[bearing]] tables, or use a command that needs none: check, convert, lateral"
         )
 
 

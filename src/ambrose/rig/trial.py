@@ -269,7 +269,7 @@ def _warned(
     if len(judged) > count:
         mode = f"bending mode {count + 1} ({judged[count] / (2 * math.pi):.4g} Hz)"
         words.append(
-            f"{mode} is judged but not on the rig; --bending-modes {len(judged)} takes them in"
+            f"{mode} is checked but not on the rig; --bending-modes {len(judged)} takes them in"
         )
     return replace(trace, text="; ".join([trace.text, *words])) if words else trace
 

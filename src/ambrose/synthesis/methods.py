@@ -181,7 +181,7 @@ class Weighted(Lowered):
             return result
 
         # comparable gains were nobody's wish: the file's own weights, where they do better
-        progress("the reference's direct gains do not hold it: the file's own control weight")
+        progress("the reference's direct gains are unstable on it: the file's own control weight")
         own, reached = self._designed(plant, weights, False, progress)
         if not reached < peak or (reached > limit and peak < float("inf")):
             return result

@@ -567,7 +567,7 @@ def check_on_model(
             f"the worst of {len(pairs)} pairs, at {model.held[0] / 1e5:.4g} bar told as "
             f"{model.held[1] / 1e5:.4g} bar"
         )
-        title = "Largest output sensitivity while the pressure stands still, found, full plant"
+        title = "Largest output sensitivity at constant pressure, found by search, full plant"
         checks = [information("moving.frozen", title, model.full_gain, "-", at)]
         tell(f"proving the loop {label}, at up to {rate / 1e5:.4g} bar/s")
         value, words = prove_on_model(model, rate, error, tell)

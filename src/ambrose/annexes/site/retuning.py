@@ -728,11 +728,11 @@ def _changed(chain: _Chain) -> None:
         after = _verified(chain, new)
     chain.made["after"] = after
     _say_measured(chain, "new measured", "The new controller on the measured plant", after)
-    title = "It holds over the identified intervals"
+    title = "It meets the requirements over the identified intervals"
     words = f"every limit is met: {figures(after)}" if after.passed else misses(after)
     if not chain.say("proved", title, after.passed, words):
         return
-    title = "The new controller beside the running one"
+    title = "The new and the running controller"
     chain.say("compared", title, None, _beside(chain.made["before"], after))
     if not _coded(chain, new, done.machine):
         return
@@ -815,7 +815,7 @@ def _switched(chain: _Chain, new: Synthesis, machine: Machine) -> None:
     point = done.outputs[0].record.point if done.outputs else done.result.point
     held = _holds(machine, before, point)
     if held is not None:
-        words = f"not tried: the running controller does not hold the identified machine {held}"
+        words = f"not tried: the running controller is unstable on the identified machine {held}"
         chain.say("switched", title, None, words)
         return
     runs = []

@@ -85,12 +85,12 @@ def form(
     """Fields and buttons; live: the action that every change asks for; more: log, words as they
     were printed, and same, what does the same.
     """
-    own = {"fields": list(fields), "buttons": list(buttons), "live": live, "folded": folded}
+    known = list(fields)
     # a button that needs one of no files cannot act, and says what is missing
-    empty = [item for item in own["fields"] if item["kind"] == "choice" and not item["options"]]
+    empty = [item["label"] for item in known if item["kind"] == "choice" and not item["options"]]
     if empty:
-        off = f"There is no {empty[0]['label'].lower()} yet"
-        own["buttons"] = [{**item, "off": off} for item in buttons]
+        buttons = [{**item, "off": f"There is no {empty[0].lower()} yet"} for item in buttons]
+    own = {"fields": known, "buttons": list(buttons), "live": live, "folded": folded}
     return _block("form", key, title, hint=hint, tone=tone, **own, **more)
 
 
@@ -169,7 +169,8 @@ def blocks_of(page: Page, width: int) -> list[Block]:
     """The verdict first, then every section; pictures that are no lines are left to the page."""
     found = []
     if page.result is not None:
-        tone = {True: "good", False: "bad"}.get(page.result.passed, "")
+        passed = page.result.passed
+        tone = "" if passed is None else "good" if passed else "bad"
         text = page.result.text[:1].upper() + page.result.text[1:]
         found.append(words("verdict", text, tone=tone))
     if page.verdicts:

@@ -93,7 +93,7 @@ def why_lost(name: str, machine: Machine, controller: Synthesis) -> str:
     if held.stable:
         return ""
     return (
-        f"{name} does not hold the machine at {held.label}, {held.timing} "
+        f"{name} is unstable on this machine at {held.label}, {held.timing} "
         f"({held.abscissa:+.3g} 1/s); choose another one"
     )
 
@@ -583,7 +583,7 @@ class _Viewer:
             elif len(self.orders) < _WAITING:
                 self._write_down(_read(text))
             else:
-                await self.tell(refused="the rig is busy: wait until it has done what it was told")
+                await self.tell(refused="the rig is busy; wait for the last command")
 
     def _write_down(self, message: Any) -> None:
         """An order behind the others; a slider's replaces the one before it, unless something else

@@ -484,7 +484,7 @@ class _Http(H11Protocol):
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
         lines = [event.target, *(value for _, value in event.headers)]
         if len(lines) > _LINES or any(len(line) > _LINE or _CONTROL(line) for line in lines):
-            self.send_400_response("the handshake is too long or holds control characters")
+            self.send_400_response("the handshake is too long or contains control characters")
         else:
             super().handle_websocket_upgrade(event)
 

@@ -633,7 +633,7 @@ def _unusable(result: GenericIdentification, referenced: bool) -> Iterator[Findi
             Code.MIXED_CHANNELS,
             ERROR,
             "the reference answers the displacement",
-            f"it knows of the noise before it (chance {done.answering:.1g}), as the control error "
+            f"it depends on earlier noise (chance {done.answering:.1g}), as the control error "
             "or u do",
             "name the external signal as the reference, or state reference: none",
         )
@@ -773,7 +773,7 @@ def _why(done: Estimate) -> str:
             f"{100 * done.follows_share:.2g} % of it)"
         )
     if done.answering < ANSWERS:
-        reasons.append(f"the reference knows of its residual before it ({done.answering:.1g})")
+        reasons.append(f"the reference depends on earlier residuals ({done.answering:.1g})")
     if done.agree is not None and done.agree < LEVEL:
         reasons.append(f"with and without a noise model it is another plant ({done.agree:.1g})")
     return "; ".join(reasons)

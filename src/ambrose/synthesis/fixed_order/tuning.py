@@ -439,8 +439,8 @@ def _holding(job: Job, law: Law, enough: float = HOLDS) -> Law:
         before = abscissa
         if attempt == 0:
             job.say(
-                f"the start does not hold every model ({abscissa:+.3g} rad/s): looking for one "
-                "that does"
+                f"the start is not stable on every model ({abscissa:+.3g} rad/s): searching for "
+                "one that is"
             )
         if isinstance(law, StateSpace):
             cost.fence = limit
@@ -781,7 +781,8 @@ def _result(
             remedy = f"up to {tried} states were tried, relax a requirement"
         notes.append(f"not met with {controller.n_states} states: {', '.join(missed)}; {remedy}")
     notes += [
-        f"a guard of the search binds, no requirement: {words} ({ratios[name].value:.3f} of it)"
+        f"the tightest limit is a guard of the search, no requirement: {words} "
+        f"({ratios[name].value:.3f} of it)"
         for name, words in guards.items()
         if ratios[name].value >= _BINDS
     ]

@@ -198,10 +198,9 @@ def show_records(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
         "Records of the live rig are listed, too. Files of other programs: MATLAB, TDMS, text, UFF."
     )
     found = [blocks.form("files", fields, title="Records", hint=hint)]
-    if chosen:
-        first, *rest = _looked(project, chosen, width(given))
-        found = [first, *found, *rest]
-    return blocks.content(found)
+    none = blocks.words("verdict", "No result yet: there is no record.", tone="muted")
+    first, *rest = _looked(project, chosen, width(given)) if chosen else [none]
+    return blocks.content([first, *found, *rest])
 
 
 def run_fields(project: Project) -> list[Block]:
