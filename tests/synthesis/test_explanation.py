@@ -153,7 +153,7 @@ def test_what_only_a_continuous_controller_holds_is_said_with_the_remedy():
     ]
     assert found.certificate.margins["assumed_abscissa"] == pytest.approx(max(assumed), rel=1e-9)
     assert any(
-        "judged as continuous; at 10000 Hz" in note and "--rate-hz" in note for note in found.notes
+        "checked as continuous; at 10000 Hz" in note and "--rate-hz" in note for note in found.notes
     )
     assert not any(
         "judged as continuous" in note for note in amb.design(coarse("seal-rig"), "pid").notes

@@ -385,8 +385,8 @@ class Synthesis(Presented, Law):
     ended before its end, with the best verified controller so far (None: it did not). weights: of
     the design problem (None where there is none). filters: the [controller] that gives the same
     controller by method "pid" (None: none does). synchronous: the blocks that reject the
-    unbalance's signal, beside the controller. By default, a controller from elsewhere that nothing
-    was shown of.
+    unbalance's signal, beside the controller. thrust: the same of the thrust axis, of a machine
+    that has both groups of axes. By default, a controller from elsewhere that nothing was shown of.
 
     Two are equal when all they say is equal, whatever file they come from. Raises InvalidInput for
     an unknown status, or for "verified" without a certificate that says stable.
@@ -405,6 +405,7 @@ class Synthesis(Presented, Law):
     provenance: Provenance = Provenance()
     filters: PidSettings | None = None
     synchronous: tuple[Synchronous, ...] = ()
+    thrust: Synthesis | None = None
 
     def __post_init__(self) -> None:
         if self.status not in list(Status):
@@ -417,7 +418,10 @@ class Synthesis(Presented, Law):
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Synthesis):
             return NotImplemented
-        return {**self.to_dict(), "provenance": None} == {**other.to_dict(), "provenance": None}
+        one, two = (
+            {**item.to_dict(), "provenance": None, "thrust": None} for item in (self, other)
+        )
+        return one == two and self.thrust == other.thrust
 
     __hash__ = None  # type: ignore[assignment]
 
@@ -483,7 +487,8 @@ class Synthesis(Presented, Law):
         certificate, history, origin.
         """
         content = self.to_dict()
-        content["provenance"] |= {"date": "", "digest": None}
+        for part in (content, content.get("thrust", content)):
+            part["provenance"] |= {"date": "", "digest": None}
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
     @property
@@ -614,6 +619,7 @@ class Synthesis(Presented, Law):
                 if self.synchronous
                 else {}
             ),
+            **({} if self.thrust is None else {"thrust": self.thrust.to_dict()}),
         }
 
     def to_frame(self) -> Any:

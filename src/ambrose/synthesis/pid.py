@@ -8,7 +8,7 @@ from ambrose.core.checks import InvalidInput, named_failure
 from ambrose.judge.result import Status, Synthesis, certify, certify_as_it_runs
 from ambrose.law.loop import Timing, machine_timing
 from ambrose.law.pid import pid_controller
-from ambrose.machine.machine import in_file
+from ambrose.machine.machine import Machine, in_file
 from ambrose.machine.part import PidSettings
 from ambrose.model.plant import Plant
 
@@ -26,6 +26,17 @@ def pid_synthesis(
     result = continuous_pid(plant, settings)
     machine = replace(plant.machine, controller=result.filters)
     return certify_as_it_runs(plant, result, timing or machine_timing(machine))
+
+
+def machine_pid(machine: Machine) -> Synthesis:
+    """The PID of the machine file as it stands there, nothing shown of it. Raises InvalidInput
+    where it states none.
+    """
+    settings = machine.reference
+    if settings is None:
+        remedy = in_file(machine, "add a [controller] with its gain")
+        raise InvalidInput(f"{machine.name} has no PID of its own; give a controller, or {remedy}")
+    return Synthesis(pid_controller(settings, machine), "pid of the machine file", filters=settings)
 
 
 @named_failure("the PID controller")

@@ -274,7 +274,7 @@ def test_lines_without_excitation_neither_pass_nor_fail():
     for i, axis in enumerate(loop.axes):
         peak = checks[f"sensitivity.output.{axis}"]
         assert peak.passed and peak.value == loop.modulus[told[:, i], i].max()
-        assert "% of the band told" in peak.detail
+        assert "% of the band measured" in peak.detail
     assert checks["sensitivity.output.max"].passed
     reach = checks["sensitivity.told"]
     assert "excite there: 14" in reach.detail

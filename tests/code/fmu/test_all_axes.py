@@ -26,7 +26,7 @@ compiled = needs("C compiler")
 @pytest.fixture(scope="module")
 def laws():
     machine = amb.load_machine(EXAMPLE)
-    return machine, amb.design(machine, "pid"), amb.design(machine.axial, "pid")
+    return machine, amb.design(machine, "pid", axes="radial"), amb.design(machine.axial, "pid")
 
 
 def block_of(axes, name):
