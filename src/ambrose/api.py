@@ -160,7 +160,7 @@ def design_with_block(
         plant = machine if isinstance(machine, PlantType) else assemble(described, point)
         result = designed(plant, method, progress=progress, **options)
     else:
-        result = synthesis_of(controller_of(asked.base))
+        result = synthesis_of(controller_of(asked.base, described))
     if asked.synchronous is None:
         return result, None
     block = design_synchronous(
@@ -218,13 +218,13 @@ def verify(
     several: Any = points if points is None or isinstance(points, list | tuple) else [points]
     return verify_controller(
         place,
-        controller_of(controller),
+        controller_of(controller, place),
         several,
         axial=None if axial is None else controller_of(axial),
         tolerances=tolerances,
         everywhere=everywhere,
         measured=measured,
-        running=None if running is None else controller_of(running),
+        running=None if running is None else controller_of(running, place),
         rate=rate,
         delay_samples=delay_samples,
         pressure_rate=pressure_rate,
@@ -260,9 +260,9 @@ def simulate(
     place = machine if isinstance(machine, PlantType) else machine_of(machine)
     for name in ("fallback", "second", "axial"):
         if options.get(name) is not None:
-            options[name] = controller_of(options[name])
+            options[name] = controller_of(options[name], None if name == "axial" else place)
     return simulate_scenario(
-        place, controller_of(controller), scenario, point=point, linear=linear, **options
+        place, controller_of(controller, place), scenario, point=point, linear=linear, **options
     )
 
 
@@ -280,8 +280,9 @@ def identify(
     """
     from ambrose.identification.pipeline import identify as identified
 
-    law = None if controller is None else controller_of(controller)
-    return identified(machine_of(machine), records, law, **options)
+    described = machine_of(machine)
+    law = None if controller is None else controller_of(controller, described)
+    return identified(described, records, law, **options)
 
 
 def check_record(record: Any, machine: Machine | str | None = None, **options: Any) -> RecordCheck:
@@ -333,13 +334,18 @@ def export(
     """
     from ambrose.code.pipeline import export as exported
 
-    laws = {"fallback": fallback, "replaces": replaces, "axial": options.pop("axial", None)}
-    options |= {name: None if law is None else controller_of(law) for name, law in laws.items()}
+    place = None if machine is None else machine_of(machine)
+    axial = options.pop("axial", None)
+    laws = {"fallback": fallback, "replaces": replaces}
+    options |= {
+        name: law if law is None else controller_of(law, place) for name, law in laws.items()
+    }
     return exported(
-        controller_of(controller),
+        controller_of(controller, place),
         Path(directory),
         to=to,
-        machine=None if machine is None else machine_of(machine),
+        machine=place,
+        axial=None if axial is None else controller_of(axial),
         **options,
     )
 
@@ -376,13 +382,14 @@ def machine_of(machine: Any) -> Machine:
     return load_machine(machine)
 
 
-def controller_of(controller: Any) -> Law:
-    """What controls, as a law: of a file what it says; a system of python-control becomes one here,
-    and nowhere below. Raises InvalidInput.
+def controller_of(controller: Any, machine: Machine | Plant | None = None) -> Law:
+    """What controls, as a law: of a file what it says, between the axes of the machine; a system of
+    python-control becomes one here, and nowhere below. Raises InvalidInput.
     """
     from ambrose.judge.controller_file import read_controller
     from ambrose.law.law import law_of
 
     if isinstance(controller, str | os.PathLike):
-        return read_controller(controller)
+        plant: Any = machine
+        return read_controller(controller, getattr(plant, "machine", plant))
     return law_of(controller, functions=False)

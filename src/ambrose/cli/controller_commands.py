@@ -393,7 +393,7 @@ _GROUPS = {
     "path",
     type=click.Path(path_type=Path),
     required=True,
-    help="A controller file (*.json).",
+    help="The controller: its file, or a table of coefficients (*.csv, *.json, *.mat).",
 )
 @options_from(Verifying)
 @click.option(
@@ -407,7 +407,7 @@ _GROUPS = {
     "--running",
     type=click.Path(path_type=Path),
     default=None,
-    help="The controller that ran while they were measured (*.json); default: none, they are of "
+    help="The controller that ran while they were measured; default: none, they are of "
     "the plant alone.",
 )
 @click.option(
@@ -569,7 +569,7 @@ def _say_in_full(result: Verification, unproved: Sequence[str], everything: bool
     "--controller",
     type=click.Path(path_type=Path),
     required=True,
-    help="A controller file (*.json).",
+    help="The controller: its file, or a table of coefficients (*.csv, *.json, *.mat).",
 )
 @options_from(Exploring, "parts")
 @click.option(

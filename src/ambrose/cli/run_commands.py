@@ -84,7 +84,7 @@ class OnTarget(Simulating):
     "path",
     type=click.Path(path_type=Path),
     required=True,
-    help="A controller file (*.json).",
+    help="The controller: its file, or a table of coefficients (*.csv, *.json, *.mat).",
 )
 @click.option(
     "--scenario", required=True, help="A scenario file (*.toml) or the name of a bundled scenario."
