@@ -193,7 +193,7 @@ def design_with_block(
         plant = machine if isinstance(machine, PlantType) else assemble(described, point)
         result = designed(plant, method, progress=progress, **options)
     else:
-        result = synthesis_of(controller_of(asked.base))
+        result = synthesis_of(controller_of(asked.base, described))
     if asked.synchronous is None:
         return result, None
     block = design_synchronous(
@@ -262,7 +262,7 @@ def verify(
         tolerances=tolerances,
         everywhere=everywhere,
         measured=measured,
-        running=None if running is None else controller_of(running),
+        running=None if running is None else controller_of(running, place),
         rate=rate,
         delay_samples=delay_samples,
         pressure_rate=pressure_rate,
@@ -299,7 +299,7 @@ def simulate(
     place = machine if isinstance(machine, PlantType) else machine_of(machine)
     for name in ("fallback", "second"):
         if options.get(name) is not None:
-            options[name] = controller_of(options[name])
+            options[name] = controller_of(options[name], place)
     given = options.pop("axial", None)
     law, along = _known_laws(place, controller, given, options.get("axes"))
     options |= {"thrust": along} if given is None else {"axial": along}
@@ -320,8 +320,9 @@ def identify(
     """
     from ambrose.identification.pipeline import identify as identified
 
-    law = None if controller is None else controller_of(controller)
-    return identified(machine_of(machine), records, law, **options)
+    described = machine_of(machine)
+    law = None if controller is None else controller_of(controller, described)
+    return identified(described, records, law, **options)
 
 
 def check_record(record: Any, machine: Machine | str | None = None, **options: Any) -> RecordCheck:
@@ -375,13 +376,18 @@ def export(
     """
     from ambrose.code.pipeline import export as exported
 
-    laws = {"fallback": fallback, "replaces": replaces, "axial": options.pop("axial", None)}
-    options |= {name: None if law is None else controller_of(law) for name, law in laws.items()}
+    place = None if machine is None else machine_of(machine)
+    axial = options.pop("axial", None)
+    laws = {"fallback": fallback, "replaces": replaces}
+    options |= {
+        name: law if law is None else controller_of(law, place) for name, law in laws.items()
+    }
     return exported(
-        controller_of(controller),
+        controller_of(controller, place),
         Path(directory),
         to=to,
-        machine=None if machine is None else machine_of(machine),
+        machine=place,
+        axial=None if axial is None else controller_of(axial),
         **options,
     )
 
@@ -433,7 +439,7 @@ def _known_laws(
 
     machine = place.machine if isinstance(place, PlantType) else place
     own = machine if axes is None else machine.only(axes)
-    law = machine_pid(own) if controller is None else controller_of(controller)
+    law = machine_pid(own) if controller is None else controller_of(controller, own)
     if axial is not None:
         return law, controller_of(axial)
     others = {} if axes is not None or place is not machine else machine.groups
@@ -444,13 +450,14 @@ def _known_laws(
     return law, machine_pid(along)
 
 
-def controller_of(controller: Any) -> Law:
-    """What controls, as a law: of a file what it says; a system of python-control becomes one here,
-    and nowhere below. Raises InvalidInput.
+def controller_of(controller: Any, machine: Machine | Plant | None = None) -> Law:
+    """What controls, as a law: of a file what it says, between the axes of the machine; a system of
+    python-control becomes one here, and nowhere below. Raises InvalidInput.
     """
     from ambrose.judge.controller_file import read_controller
     from ambrose.law.law import law_of
 
     if isinstance(controller, str | os.PathLike):
-        return read_controller(controller)
+        plant: Any = machine
+        return read_controller(controller, getattr(plant, "machine", plant))
     return law_of(controller, functions=False)

@@ -357,10 +357,15 @@ def load_controller(path: Path, machine: Machine) -> Synthesis:
     from ambrose.machine.file.toml import machine_hash
     from ambrose.machine.machine import THRUST
 
-    result = read_controller(path)
+    result = read_controller(path, machine)
     if machine.group == THRUST and result.thrust is not None:
         result = result.thrust
     provenance = result.provenance
+    if not provenance.date:  # a table of another program
+        dt = result.controller.dt
+        kind = "continuous" if dt is None else f"sampled at {1 / dt:.6g} Hz"
+        words = "; ".join((f"{result.controller.n_states} states", kind, *result.notes))
+        say(f"note: {path}: {words}", err=True)
     if provenance.machine_hash not in {None, machine_hash(machine)}:
         other = (
             f"another machine, {provenance.machine}"

@@ -421,7 +421,8 @@ _GROUPS = {
     "--controller",
     "path",
     type=click.Path(path_type=Path),
-    help="A controller file (*.json); default: the machine file's PID.",
+    help="The controller: its file, or a table of coefficients (*.csv, *.json, *.mat); default: "
+    "the machine file's PID.",
 )
 @options_from(Verifying)
 @click.option(
@@ -435,7 +436,7 @@ _GROUPS = {
     "--running",
     type=click.Path(path_type=Path),
     default=None,
-    help="The controller that ran while they were measured (*.json); default: none, they are of "
+    help="The controller that ran while they were measured; default: none, they are of "
     "the plant alone.",
 )
 @click.option(
@@ -514,7 +515,9 @@ def verify(
             description, result.synchronous, loop=result.timing, controller=result.controller
         )
         failure = kept(lambda path: write(blocks, path), page)
-    named = replace(result, controller=f"{controller.name}, {result.controller}")
+    named = result
+    if path is not None:
+        named = replace(result, controller=f"{path.name}, {result.controller}")
     failure = kept_page(named, report, description, called="report") or failure
     if as_json:
         say_json({"machine": description.name, **result.to_dict()})
@@ -601,7 +604,7 @@ def _say_in_full(result: Verification, unproved: Sequence[str], everything: bool
     "--controller",
     type=click.Path(path_type=Path),
     required=True,
-    help="A controller file (*.json).",
+    help="The controller: its file, or a table of coefficients (*.csv, *.json, *.mat).",
 )
 @options_from(Exploring, "parts")
 @click.option(

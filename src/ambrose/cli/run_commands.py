@@ -86,7 +86,8 @@ class OnTarget(Simulating):
     "--controller",
     "path",
     type=click.Path(path_type=Path),
-    help="A controller file (*.json); default: the machine file's PID.",
+    help="The controller: its file, or a table of coefficients (*.csv, *.json, *.mat); default: "
+    "the machine file's PID.",
 )
 @click.option(
     "--scenario", required=True, help="A scenario file (*.toml) or the name of a bundled scenario."

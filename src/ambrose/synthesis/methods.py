@@ -524,7 +524,10 @@ class Tuned(Method):
             return [file.name, sha256(file.read_bytes()).hexdigest()]
 
         running = None if self.running is None else known(self.running, "controller")
-        return {"measured": [known(name, "responses") for name in self.measured], "running": running}
+        return {
+            "measured": [known(name, "responses") for name in self.measured],
+            "running": running,
+        }
 
     def without_bank(self) -> Self:
         """The method itself, for what tunes a controller step by step. Raises InvalidInput for a

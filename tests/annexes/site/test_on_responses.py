@@ -148,8 +148,14 @@ def test_what_is_tuned_is_what_was_measured(tmp_path):
     """
     true = Truth.of(FILE, RATE, (0.2, -0.15), casing=(310.0, 0.02, 0.6))
     hertz = np.union1d(true.hertz(lines=200), np.linspace(285, 335, 50))
-    files = [str(write_response(
-        true.sweep(MACHINE, matrices(law(), RATE), hertz, noise=0.003), tmp_path / "sweep.json"))]
+    files = [
+        str(
+            write_response(
+                true.sweep(MACHINE, matrices(law(), RATE), hertz, noise=0.003),
+                tmp_path / "sweep.json",
+            )
+        )
+    ]
     ran = str(write_controller(tmp_path / "K.json", law(), machine()))
     fine = np.union1d(np.geomspace(4, 1600, 2000), true.hertz(packed=20))
 

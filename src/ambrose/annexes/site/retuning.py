@@ -337,7 +337,8 @@ def retune(
     over. Raises InvalidInput for what cannot be begun: a record of another machine or controller,
     one that carries nothing, a schedule in place of a fixed controller.
     """
-    given, law = machine_of(machine), controller_of(controller)
+    given = machine_of(machine)
+    law = controller_of(controller, given)
     if law.fixed is None:
         raise invalid(
             "the running controller",
