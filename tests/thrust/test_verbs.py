@@ -378,4 +378,9 @@ def test_a_simulation_of_the_axis_writes_its_page(folder):
     line = "simulate five.toml#axial --controller pid.json --scenario thrust-step --linear"
     done = run(folder, f"{line} --point rated --report step.html")
     assert done.exit_code == 0, done.output
+    narrow = line.replace("#axial --controller pid.json", " --axes thrust")
+    own = run(folder, f"{narrow} --point rated -o own.h5")
+    assert own.exit_code == 0 and "Controller: pid of the machine file" in own.stdout
+    again = read_record(folder / "own.h5")
+    assert np.array_equal(again.values, read_record(folder / "record.h5").values)
     assert "Distance from the middle of the bearing" in (folder / "step.html").read_text()

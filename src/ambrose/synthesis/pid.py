@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from ambrose.core.checks import InvalidInput, named_failure
-from ambrose.judge.result import Status, Synthesis, certify, certify_as_it_runs
+from ambrose.judge.result import OF_MACHINE, Status, Synthesis, certify, certify_as_it_runs
 from ambrose.law.loop import Timing, machine_timing
 from ambrose.law.pid import pid_controller
 from ambrose.machine.machine import Machine
@@ -36,7 +36,7 @@ def machine_pid(machine: Machine) -> Synthesis:
     if settings is None:
         remedy = machine.in_file("add a [controller] with its gain")
         raise InvalidInput(f"{machine.name} has no PID of its own; give a controller, or {remedy}")
-    return Synthesis(pid_controller(settings, machine), "pid of the machine file", filters=settings)
+    return Synthesis(pid_controller(settings, machine), OF_MACHINE, filters=settings)
 
 
 @named_failure("the PID controller")
