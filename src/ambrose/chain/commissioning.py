@@ -418,7 +418,9 @@ def operating_cycle(site: tuple[Plant, ...], known: tuple[Plant, ...], code: Cod
     deployment, program, _ = code
     rate = (machine_timing(known[0].machine) or DEFAULT).rate
     machine, delay = site[0].machine, deployment.delay
-    return simulate_scenario(machine, program, CYCLE, rate=rate, delay_samples=delay)
+    return simulate_scenario(
+        machine, program, CYCLE, axes=machine.group, rate=rate, delay_samples=delay
+    )
 
 
 STAGES = (
