@@ -300,6 +300,9 @@ def continuous_equivalent(system: StateSpace) -> StateSpace:
     )
 
 
+OF_MACHINE = "pid of the machine file"  # the method of a law that stands in for one not given
+
+
 class Status(StrEnum):
     """What was shown of a controller's loop: it is stable; it is not (a verdict on a controller, no
     failure); nothing.

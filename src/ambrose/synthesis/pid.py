@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from ambrose.core.checks import InvalidInput, named_failure
-from ambrose.judge.result import Status, Synthesis, certify, certify_as_it_runs
+from ambrose.judge.result import OF_MACHINE, Status, Synthesis, certify, certify_as_it_runs
 from ambrose.law.loop import Timing, machine_timing
 from ambrose.law.pid import pid_controller
-from ambrose.machine.machine import Machine, in_file
+from ambrose.machine.machine import Machine
 from ambrose.machine.part import PidSettings
 from ambrose.model.plant import Plant
 
@@ -34,9 +34,9 @@ def machine_pid(machine: Machine) -> Synthesis:
     """
     settings = machine.reference
     if settings is None:
-        remedy = in_file(machine, "add a [controller] with its gain")
+        remedy = machine.in_file("add a [controller] with its gain")
         raise InvalidInput(f"{machine.name} has no PID of its own; give a controller, or {remedy}")
-    return Synthesis(pid_controller(settings, machine), "pid of the machine file", filters=settings)
+    return Synthesis(pid_controller(settings, machine), OF_MACHINE, filters=settings)
 
 
 @named_failure("the PID controller")
@@ -44,7 +44,7 @@ def continuous_pid(plant: Plant, settings: PidSettings | None = None) -> Synthes
     """``pid_synthesis`` without the loop as it runs. Raises InvalidInput."""
     settings = plant.machine.reference if settings is None else settings
     if settings is None:
-        remedy = in_file(plant.machine, "add a [controller] with its gain or pass PidSettings")
+        remedy = plant.machine.in_file("add a [controller] with its gain or pass PidSettings")
         raise InvalidInput(f"machine {plant.machine.name!r} has no reference controller; {remedy}")
     law = pid_controller(settings, plant.machine)
     certificate = certify(plant, law)
