@@ -512,7 +512,9 @@ def verify(
             description, result.synchronous, loop=result.timing, controller=result.controller
         )
         failure = kept(lambda path: write(blocks, path), page)
-    named = replace(result, controller=f"{controller.name}, {result.controller}")
+    # the page names the file, too
+    origin = ", ".join(filter(None, (path.name if path else "", result.controller)))
+    named = replace(result, controller=origin)
     failure = kept_page(named, report, description, called="report") or failure
     if as_json:
         say_json({"machine": description.name, **result.to_dict()})
