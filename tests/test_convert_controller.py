@@ -17,8 +17,9 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.law.pid import axes_controller
 from ambrose.synthesis.design import not_held
+from coarse import coarse_file
 
-RIG = "turbomolecular-pump"
+RIG = coarse_file("turbomolecular-pump", tolerances=False)
 DT = 5e-5
 
 
@@ -76,7 +77,7 @@ def test_a_controller_with_units_and_sign_is_the_one_that_it_came_from(place):
     np.testing.assert_allclose(
         frequency_response(back.controller, omega).values, expected, rtol=1e-9, atol=1e-9
     )
-    assert back.provenance.machine == RIG
+    assert back.provenance.machine == "turbomolecular-pump"
 
 
 @pytest.mark.parametrize(
@@ -172,7 +173,9 @@ def test_sections_whose_feedback_has_the_other_sign_are_noticed(tmp_path, kind):
             path.write_text(json.dumps({"rate_hz": 1 / DT, "channels": channels}))
         done = call("convert", "controller", path, "--machine", RIG, "-o", tmp_path / "k.json")
         assert done.exit_code == status, done.output
-        assert ("turn the sign of a1 and a2 in the file" in done.output) == (sign < 0)
+        assert ("--feedback added, or turn their signs" in done.output) == (sign < 0)
+    words = ("--feedback", "added", "-o", tmp_path / "k.json")
+    assert call("convert", "controller", path, "--machine", RIG, *words).exit_code == 0
 
 
 def test_a_unit_that_nearly_holds_is_named(place):
@@ -193,6 +196,81 @@ def test_a_controller_that_no_sign_and_unit_holds(place):
     assert (
         "check the order of the axes" in not_held(machine, nothing)[0]
         and not_held(machine, law) == []
+    )
+
+
+def vendor_table(path, machine, channels=("translate_x", "translate_y", "tilt_x", "tilt_y")):
+    """The rig's PID as a vendor writes it, translating and tilting in biquads at 20 kHz: sections
+    of each channel.
+    """
+    settings = replace(machine.reference, coordinates="axes", tilt_gain=1.0)
+    gains = (4e4, 4e4, 3.2e4, 3.2e4)
+    K = c2d(axes_controller(replace(settings, gain=gains), channels), DT, "tustin")
+    lines, sections = ["channel,b0,b1,b2,a0,a1,a2,rate_hz"], []
+    for n, name in enumerate(channels):
+        k = np.flatnonzero(K.B[:, n])  # its own states
+        one = K.A[np.ix_(k, k)], K.B[k][:, [n]], K.C[[n]][:, k], K.D[[n]][:, [n]]
+        sections.append(scipy.signal.zpk2sos(*scipy.signal.ss2zpk(*one)))
+        lines += [f"{name},{','.join(repr(float(v)) for v in row)},20000" for row in sections[-1]]
+    path.write_text("\n".join(lines) + "\n")
+    return sections
+
+
+def test_a_vendors_table_goes_in_wherever_a_controller_is_asked_for(tmp_path):
+    machine = amb.load_machine(RIG)
+    sections = vendor_table(tmp_path / "vendor.csv", machine)
+    read = amb.read_controller(tmp_path / "vendor.csv", machine)
+
+    # u = V k S^-1 y by hand: translation and tilt of the line through both sensors, in x and y
+    places, at = (
+        [item.position for item in group] for group in (machine.bearings, machine.sensors)
+    )
+    middle, half = np.mean(places), np.ptp(places) / 2
+    S = np.array([[1.0, (z - middle) / half] for z in at])
+    V = np.array([[1.0, (z - middle) / half] for z in places])
+    V, S = (np.kron(M, np.eye(2)) for M in (V, S))  # isotropic: turning x, y into axes cancels
+    omega = np.geomspace(1, 2e4, 20)
+    k = [scipy.signal.freqz_sos(sos, worN=omega, fs=2 * np.pi / DT)[1] for sos in sections]
+    expected = np.einsum("ic,cw,cj->wij", V, k, np.linalg.inv(S))
+    np.testing.assert_allclose(
+        frequency_response(read.controller, omega).values, expected, rtol=1e-9, atol=1e-4
+    )
+
+    # each command takes the table itself, and says the same of it as of the controller file
+    amb.write_controller(tmp_path / "k.json", read)
+    short, table = tmp_path / "short.toml", tmp_path / "vendor.csv"
+    short.write_text(SHORT)
+    for words in (
+        ("verify", RIG, "--json", "--controller"),
+        ("lateral", RIG, "--nominal", "--json", "--controller"),
+        ("simulate", RIG, "--linear", "--scenario", short, "-o", tmp_path / "r.h5", "--controller"),
+        ("export", "--to", "mat", "-o", tmp_path / "mat", "--machine", RIG, "--force", "--json"),
+        ("identify", RIG, tmp_path / "r.h5", "-o", tmp_path / "m.toml", "--json", "--controller"),
+    ):
+        told = [call(*words, path) for path in (tmp_path / "k.json", table)]
+        assert told[0].exit_code == told[1].exit_code < 2, told[1].output
+        if words[0] in ("verify", "lateral"):
+            first, second = (json.loads(one.stdout) for one in told)
+            assert {**first, "controller": ""} == {**second, "controller": ""}
+            assert "translate_x, translate_y, tilt_x, tilt_y act between the axes" in told[1].stderr
+    assert amb.verify(RIG, table, points="full speed", tolerances=False).points[0].stable
+
+
+def test_channels_that_no_machine_has_are_named_and_no_speed_is_blamed(tmp_path):
+    machine = amb.load_machine(RIG)
+    vendor_table(tmp_path / "v.csv", machine, ("V13", "W13", "V24", "W24"))
+    for words in (("verify", RIG, "--controller"), ("lateral", RIG, "--controller")):
+        done = call(*words, tmp_path / "v.csv")
+        assert done.exit_code == 2 and "trip" not in done.stderr
+        assert "the axes of the controller is V13, W13, V24, W24" in done.stderr
+        assert "--axes of ambrose convert controller" in done.stderr
+    axes = ",".join(("translate_x", "translate_y", "tilt_x", "tilt_y"))
+    done = call("convert", "controller", tmp_path / "v.csv", "-o", tmp_path / "k.json")
+    assert done.exit_code == 2 and not (tmp_path / "k.json").exists()
+    words = ("--axes", axes, "-o", tmp_path / "k.json")
+    assert call("convert", "controller", tmp_path / "v.csv", *words).exit_code == 0
+    assert amb.read_controller(tmp_path / "k.json", machine).controller.inputs == tuple(
+        f"err_{axis}" for axis in machine.axes
     )
 
 
@@ -248,7 +326,8 @@ def test_it_runs_in_verify_simulate_identify_and_export(place):
 def test_a_continuous_controller_is_sampled(place, tmp_path, method):
     words = ("--sampling", method, "--rate-hz", 40000, "-o", tmp_path / "k.json")
     if method == "matched":  # the rig's own controller mixes its axes
-        (tmp_path / "pid.csv").write_text("channel,b,a\nA_zeta,3 600,1 900\n")
+        rows = "A_zeta,3 600,1 900\nA_eta,3 600,1 900\n"
+        (tmp_path / "pid.csv").write_text(f"channel,b,a\n{rows}")
         source = tmp_path / "pid.csv"
     else:
         source = place / "pid.json"
@@ -280,7 +359,11 @@ def test_a_continuous_controller_is_sampled(place, tmp_path, method):
             "input_unit was stated, but a file of this package states it already",
         ),
         (
-            ("dsp.mat", "--axes", "a,b,c,d", "--sampling", "zoh", "--rate-hz", "20000"),
+            ("dsp.mat", "--axes", "A_x,A_y,B_x,B_y"),
+            "the list of its channels is A_x, A_y, B_x, B_y, but must be pairs as A_zeta, A_eta",
+        ),
+        (
+            ("dsp.mat", "--machine", RIG, "--sampling", "zoh", "--rate-hz", "20000"),
             "it is sampled already, at 20000 Hz",
         ),
         (("pid.json", "--prewarp-hz", "100"), "--prewarp-hz goes with --sampling"),

@@ -193,7 +193,7 @@ def design_with_block(
         plant = machine if isinstance(machine, PlantType) else assemble(described, point)
         result = designed(plant, method, progress=progress, **options)
     else:
-        result = synthesis_of(controller_of(asked.base))
+        result = synthesis_of(controller_of(asked.base, described))
     if asked.synchronous is None:
         return result, None
     block = design_synchronous(
@@ -262,7 +262,7 @@ def verify(
         tolerances=tolerances,
         everywhere=everywhere,
         measured=measured,
-        running=None if running is None else controller_of(running),
+        running=None if running is None else controller_of(running, place),
         rate=rate,
         delay_samples=delay_samples,
         pressure_rate=pressure_rate,
@@ -299,7 +299,7 @@ def simulate(
     place = machine if isinstance(machine, PlantType) else machine_of(machine)
     for name in ("fallback", "second"):
         if options.get(name) is not None:
-            options[name] = controller_of(options[name])
+            options[name] = controller_of(options[name], place)
     given = options.pop("axial", None)
     law, along = _known_laws(place, controller, given, options.get("axes"))
     options |= {"thrust": along} if given is None else {"axial": along}
@@ -320,8 +320,9 @@ def identify(
     """
     from ambrose.identification.pipeline import identify as identified
 
-    law = None if controller is None else controller_of(controller)
-    return identified(machine_of(machine), records, law, **options)
+    described = machine_of(machine)
+    law = None if controller is None else controller_of(controller, described)
+    return identified(described, records, law, **options)
 
 
 def check_record(record: Any, machine: Machine | str | None = None, **options: Any) -> RecordCheck:
@@ -368,18 +369,25 @@ def export(
     name. machine: the one it is for; None: the bundled machine that it was made for. fallback: the
     fixed controller that takes over from one scheduled over pressure where the reading cannot be
     trusted (C only). replaces: the controller that runs now (C only); parameters.json then says
-    what changes in the tables of its code. Raises InvalidInput, and UnstableSystem where the
-    sampled loop does not hold the machine.
+    what changes in the tables of its code. options also take axial, the controller of the thrust
+    axis (None: that of ``controller``), and axes, "radial" or "thrust", the one group that is
+    written; both groups are one unit in C and FMU, else two. Raises InvalidInput, and
+    UnstableSystem where the sampled loop does not hold the machine.
     """
     from ambrose.code.pipeline import export as exported
 
-    laws = {"fallback": fallback, "replaces": replaces, "axial": options.pop("axial", None)}
-    options |= {name: None if law is None else controller_of(law) for name, law in laws.items()}
+    place = None if machine is None else machine_of(machine)
+    axial = options.pop("axial", None)
+    laws = {"fallback": fallback, "replaces": replaces}
+    options |= {
+        name: law if law is None else controller_of(law, place) for name, law in laws.items()
+    }
     return exported(
-        controller_of(controller),
+        controller_of(controller, place),
         Path(directory),
         to=to,
-        machine=None if machine is None else machine_of(machine),
+        machine=place,
+        axial=None if axial is None else controller_of(axial),
         **options,
     )
 
@@ -388,14 +396,15 @@ def study(
     machine: Machine | str,
     directory: str | os.PathLike[str] = "study",
     *,
+    axes: str | None = None,
     progress: Progress = _quiet,
 ) -> Study:
     """The whole chain: every controller that the machine file allows, verified, tried, compared in
-    report.html.
+    report.html. axes: "radial" or "thrust", the one group of axes (None: all).
     """
     from ambrose.chain.study import study as studied
 
-    return studied(machine_of(machine), Path(directory), progress)
+    return studied(machine_of(machine), Path(directory), progress, axes)
 
 
 def plot(item: Any) -> Any:
@@ -430,7 +439,7 @@ def _known_laws(
 
     machine = place.machine if isinstance(place, PlantType) else place
     own = machine if axes is None else machine.only(axes)
-    law = machine_pid(own) if controller is None else controller_of(controller)
+    law = machine_pid(own) if controller is None else controller_of(controller, own)
     if axial is not None:
         return law, controller_of(axial)
     others = {} if axes is not None or place is not machine else machine.groups
@@ -441,13 +450,14 @@ def _known_laws(
     return law, machine_pid(along)
 
 
-def controller_of(controller: Any) -> Law:
-    """What controls, as a law: of a file what it says; a system of python-control becomes one here,
-    and nowhere below. Raises InvalidInput.
+def controller_of(controller: Any, machine: Machine | Plant | None = None) -> Law:
+    """What controls, as a law: of a file what it says, between the axes of the machine; a system of
+    python-control becomes one here, and nowhere below. Raises InvalidInput.
     """
     from ambrose.judge.controller_file import read_controller
     from ambrose.law.law import law_of
 
     if isinstance(controller, str | os.PathLike):
-        return read_controller(controller)
+        plant: Any = machine
+        return read_controller(controller, getattr(plant, "machine", plant))
     return law_of(controller, functions=False)

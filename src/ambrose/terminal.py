@@ -336,11 +336,17 @@ def load(machine: str, *, magnets: bool = True, part: bool = True) -> Machine:
     if axes is not None:
         narrow = found.only(axes)
         found = narrow if axes == THRUST else found
-    elif part and len(found.groups) > 1:
-        say("note: the radial axes; --axes thrust takes the thrust axis", err=True)
+    elif part:
+        noted_part(found)
     if magnets:
         require_magnets(found)
     return found
+
+
+def noted_part(machine: Machine) -> None:
+    """Notes that what is done is of the radial axes, where the machine has others."""
+    if len(machine.groups) > 1:
+        say("note: the radial axes; --axes thrust takes the thrust axis", err=True)
 
 
 def load_controller(path: Path, machine: Machine) -> Synthesis:
@@ -351,10 +357,15 @@ def load_controller(path: Path, machine: Machine) -> Synthesis:
     from ambrose.machine.file.toml import machine_hash
     from ambrose.machine.machine import THRUST
 
-    result = read_controller(path)
+    result = read_controller(path, machine)
     if machine.group == THRUST and result.thrust is not None:
         result = result.thrust
     provenance = result.provenance
+    if not provenance.date:  # a table of another program
+        dt = result.controller.dt
+        kind = "continuous" if dt is None else f"sampled at {1 / dt:.6g} Hz"
+        words = "; ".join((f"{result.controller.n_states} states", kind, *result.notes))
+        say(f"note: {path}: {words}", err=True)
     if provenance.machine_hash not in {None, machine_hash(machine)}:
         other = (
             f"another machine, {provenance.machine}"

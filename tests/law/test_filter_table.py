@@ -222,7 +222,7 @@ def test_matrices_as_matlab_encodes_them_in_json(n, p, m, tmp_path):
     short = {key: value[0] if len(value) == 1 else value for key, value in short.items()}
     if n == 0:  # of no state, D alone says how many there are
         short |= {"A": [], "B": [], "C": [], "D": full["D"].tolist()}
-    names = {"axes": list("abc"[:m]), "outputs": list("abc"[:p])}
+    names = {"axes": list("abc"[:m]), "outputs": list("abc"[:p]), "Ts": 0}
     (tmp_path / "k.json").write_text(json.dumps(short | names))
     read = amb.read_controller(tmp_path / "k.json").controller
     for key, matrix in full.items():
@@ -238,9 +238,9 @@ def test_one_section_as_matlab_encodes_it_in_json(tmp_path):
 
 
 def test_an_unstable_table_is_converted_with_a_warning(tmp_path):
-    (tmp_path / "v.csv").write_text(
-        "channel,b0,b1,b2,a0,a1,a2,rate_hz\nA_zeta,1,2,3,1,-2.1,1.2,10000\n"
-    )
+    head = "channel,b0,b1,b2,a0,a1,a2,rate_hz\n"
+    rows = "".join(f"A_{way},1,2,3,1,-2.1,1.2,10000\n" for way in ("zeta", "eta"))
+    (tmp_path / "v.csv").write_text(head + rows)
     words = ["convert", str(tmp_path / "v.csv"), "-o", str(tmp_path / "k.json")]
     done = CliRunner().invoke(main, words)
     assert (
@@ -249,7 +249,56 @@ def test_an_unstable_table_is_converted_with_a_warning(tmp_path):
     )
     problems = json.loads(CliRunner().invoke(main, [*words, "--json"]).stdout)["problems"]
     assert len(problems) == 1 and "unstable" in problems[0]
-    (tmp_path / "v.csv").write_text(
-        "channel,b0,b1,b2,a0,a1,a2,rate_hz\nA_zeta,1,2,3,1,-1.9,0.95,10000\n"
+    (tmp_path / "v.csv").write_text(head + rows.replace("-2.1,1.2", "-1.9,0.95"))
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 0 and "careful" not in done.stderr
+
+
+# as a processor has it, y = b0 x + b1 x' + b2 x'' + a1 y' + a2 y'', a0 left out
+_PROCESSOR = "channel,b0,b1,b2,a1,a2,rate_hz\n" + "".join(
+    f"{axis},{','.join(repr(float(v)) for v in (*row[:3], -row[4], -row[5]))},10000\n"
+    for axis in ("A_zeta", "A_eta")
+    for row in LOW
+)
+
+
+def test_sections_of_a_signal_processor_are_refused_until_their_sign_is_stated(tmp_path):
+    (tmp_path / "v.csv").write_text(_PROCESSOR)
+    with pytest.raises(InvalidInput, match="stable with a1 and a2 of the other sign, as CMSIS"):
+        amb.read_controller(tmp_path / "v.csv")
+    stated = amb.read_controller(tmp_path / "v.csv", feedback="added").controller
+    np.testing.assert_allclose(direct(stated), [digital(LOW)] * 2, rtol=1e-9, atol=1e-12)
+    lines = _PROCESSOR.splitlines()
+    (tmp_path / "f.csv").write_text(
+        "\n".join([f"{lines[0]},feedback", *(f"{row},added" for row in lines[1:])])
     )
-    assert "careful" not in CliRunner().invoke(main, words).stderr
+    found = direct(amb.read_controller(tmp_path / "f.csv").controller)
+    np.testing.assert_array_equal(found, direct(stated))
+    with pytest.raises(InvalidInput, match="feedback is added in the file, and subtracted was"):
+        amb.read_controller(tmp_path / "f.csv", feedback="subtracted")
+
+
+@pytest.mark.parametrize("form", ["as subtracted", "as added", "b and a", "matrices"])
+def test_coefficients_of_z_without_a_rate_are_asked_for_it(tmp_path, form):
+    """Read as polynomials of s [rad/s] they would be another controller, without a word."""
+    b, a = scipy.signal.sos2tf(LOW[:1])
+    system = scipy.signal.tf2ss(b, a)
+    rows = {
+        "as subtracted": "channel,b0,b1,b2,a0,a1,a2\n"
+        + "".join(f"A_{w},{','.join(map(repr, map(float, LOW[0])))}\n" for w in ("zeta", "eta")),
+        "as added": "\n".join(line.rpartition(",")[0] for line in _PROCESSOR.splitlines()),
+        "b and a": json.dumps({"axes": ["A_zeta"], "b": b.tolist(), "a": a.tolist()}),
+        "matrices": json.dumps(
+            {"axes": ["A_zeta"]}
+            | dict(zip("ABCD", (matrix.tolist() for matrix in system), strict=True))
+        ),
+    }
+    path = tmp_path / ("v.csv" if rows[form].startswith("channel") else "v.json")
+    path.write_text(rows[form])
+    with pytest.raises(InvalidInput, match="it states no sample rate, and its poles are those of"):
+        amb.read_controller(path)
+
+
+def test_coefficients_of_s_need_no_rate(tmp_path):
+    (tmp_path / "v.csv").write_text("channel,b,a\nA_zeta,3 600,1 900\nA_eta,3 600,1 0\n")
+    assert amb.read_controller(tmp_path / "v.csv").controller.dt is None

@@ -197,6 +197,25 @@ def test_both_groups_are_designed_into_one_file(folder):
     assert refused.exit_code == 2 and "left out for the thrust axis" in refused.stderr
 
 
+def test_a_check_shows_both_groups_and_narrows(folder):
+    whole, along, short, radial = (
+        json.loads(run(folder, f"check {words} --json").stdout)
+        for words in (
+            "five.toml",
+            "five.toml --axes thrust",
+            "five.toml#axial",
+            "five.toml --axes radial",
+        )
+    )
+    assert along == short
+    thrust = whole.pop("thrust")
+    assert whole == radial
+    assert thrust == {name: along[name] for name in along if name not in {"doubts", "remarks"}}
+    assert "thrust axis: static capacity" in run(folder, "check five.toml --details").stdout
+    refused = run(folder, "check five.toml#axial --axes radial")
+    assert refused.exit_code == 2 and "is the thrust axis alone" in refused.stderr
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -69,6 +69,8 @@ from ambrose.report.theme import quantity
 
 def rows_of(facts: dict[str, Any]) -> list[tuple[str, str]]:
     """The facts of a machine (``chain.check.facts``) in words, as rows of quantity and value."""
+    if not facts:
+        return []
     if "axis" in facts:
         return list(axial_rows(facts, quantity))
     unstable = ", ".join(f"{re:.1f}{im + 0.0:+.1f}j" for re, im in facts["unstable_poles_rad_s"])
@@ -112,6 +114,7 @@ def rows_of(facts: dict[str, Any]) -> list[tuple[str, str]]:
         ("operating points", ", ".join(facts["operating_points"])),
         ("uncertain parameters", ", ".join(facts["tolerances"]) or "none"),
         ("assumed entries", f"{facts['assumed']}, listed with their reasons in the report"),
+        *((f"thrust axis: {name}", value) for name, value in rows_of(facts.get("thrust", {}))),
     ]
 
 
@@ -1233,20 +1236,29 @@ def _remarks(machine: Machine) -> Iterator[str]:
         yield "no [[tolerance]]: a verification covers these values alone"
 
 
-def facts(machine: Machine, file: str | None = None) -> dict[str, Any]:
+def facts(machine: Machine, file: str | None = None, axes: str | None = None) -> dict[str, Any]:
     """What `ambrose check` tells about a machine, SI units: mass properties, bending frequencies,
     open-loop poles, sizes.
 
-    file: what a failure is named after; default: the machine. Raises InvalidInput where a point has
+    file: what a failure is named after; default: the machine. axes: the one group of axes (None:
+    all, those of the thrust axis under "thrust"). Raises InvalidInput where a point has
     no model, NumericalFailure where numbers are too far apart, with every part without coefficients
     at an operating point, and every entry that is implausible, its probable cause.
     """
     try:
         # what overflows on the way is no figure
         with np.errstate(over="raise", divide="raise", invalid="raise"):
-            return _facts(machine)
+            known = _facts(machine)
+            for along in [*machine.groups.values()][1:] if axes is None else ():
+                with suppress(InvalidInput):  # which is among the doubts
+                    of_axis = _facts(along)
+                    known["thrust"] = {k: v for k, v in of_axis.items() if k not in _TOLD}
+            return known
     except AmbroseError as error:
         raise type(error)(listed(file or machine.name, _reasons(machine, str(error)))) from error
+
+
+_TOLD = ("doubts", "remarks")  # of the thrust axis, among those of the machine
 
 
 def _reasons(machine: Machine, failure: str) -> list[str]:

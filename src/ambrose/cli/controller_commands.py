@@ -17,6 +17,7 @@ from ambrose.synthesis.methods import methods
 from ambrose.terminal import (
     ALL,
     AS_JSON,
+    AXES,
     MACHINE,
     GroupedCommand,
     asked_for,
@@ -28,6 +29,7 @@ from ambrose.terminal import (
     load,
     load_controller,
     narrowed,
+    noted_part,
     one_screen,
     options_from,
     print_checks,
@@ -419,7 +421,8 @@ _GROUPS = {
     "--controller",
     "path",
     type=click.Path(path_type=Path),
-    help="A controller file (*.json); default: the machine file's PID.",
+    help="The controller: its file, or a table of coefficients (*.csv, *.json, *.mat); default: "
+    "the machine file's PID.",
 )
 @options_from(Verifying)
 @click.option(
@@ -433,7 +436,7 @@ _GROUPS = {
     "--running",
     type=click.Path(path_type=Path),
     default=None,
-    help="The controller that ran while they were measured (*.json); default: none, they are of "
+    help="The controller that ran while they were measured; default: none, they are of "
     "the plant alone.",
 )
 @click.option(
@@ -512,9 +515,9 @@ def verify(
             description, result.synchronous, loop=result.timing, controller=result.controller
         )
         failure = kept(lambda path: write(blocks, path), page)
-    # the page names the file, too
-    origin = ", ".join(filter(None, (path.name if path else "", result.controller)))
-    named = replace(result, controller=origin)
+    named = result
+    if path is not None:
+        named = replace(result, controller=f"{path.name}, {result.controller}")
     failure = kept_page(named, report, description, called="report") or failure
     if as_json:
         say_json({"machine": description.name, **result.to_dict()})
@@ -601,7 +604,7 @@ def _say_in_full(result: Verification, unproved: Sequence[str], everything: bool
     "--controller",
     type=click.Path(path_type=Path),
     required=True,
-    help="A controller file (*.json).",
+    help="The controller: its file, or a table of coefficients (*.csv, *.json, *.mat).",
 )
 @options_from(Exploring, "parts")
 @click.option(
@@ -685,7 +688,10 @@ def map_command(
 
 _WORD = "--to"
 _GROUPS_EXPORT = {
-    "": ("target", "output", "machine", "axial", "replaces", "name", "arithmetic", "rate", "force"),
+    "": (
+        *("target", "output", "machine", "axial", "axes", "replaces", "name", "arithmetic", "rate"),
+        "force",
+    ),
     "Scheduled controllers": (
         "speed_limit",
         "speed_rate",
@@ -731,8 +737,10 @@ _GROUPS_EXPORT = {
 @click.option(
     "--axial",
     type=click.Path(path_type=Path),
-    help="The controller of machine.toml#axial: both as one unit of all axes (C, FMU).",
+    help="The controller of the thrust axis, default: that of the file; both as one unit of all "
+    "axes (C, FMU) or as two.",
 )
+@AXES
 @click.option(
     "--replaces",
     type=click.Path(path_type=Path),
@@ -758,10 +766,19 @@ def export(
     from ambrose.api import export as exported
 
     chosen = chosen_from(TARGETS, target, asked, _WORD)
-    known = None if machine is None else load(machine)
-    laws = {"fallback": fallback, "replaces": replaces, "axial": axial}
+    known = None if machine is None else load(machine, part=False)
+    laws: dict[str, Any] = {"fallback": fallback, "replaces": replaces, "axial": axial}
     with progress_shown(as_json) as progress:
-        delivery = exported(controller, output, to=chosen, machine=known, progress=progress, **laws)
+        delivery = exported(
+            *(controller, output),
+            to=chosen,
+            machine=known,
+            axes=narrowed(),
+            progress=progress,
+            **laws,
+        )
+    if delivery.axial is None and narrowed() is None and known is not None:
+        noted_part(known)
     content = delivery.to_dict()
     if as_json:
         say_json(content)
@@ -774,6 +791,8 @@ def export(
             say(f"no parameters.json: {delivery.not_alike}", err=True)
         if delivery.trial is not None:
             say(f"{delivery.trial.processor.name}: {delivery.trial.text}", err=True)
+        if delivery.apart:
+            say(f"two units, the second of the thrust axis: {delivery.apart}", err=True)
         for path in content["files"]:
             say(path)
     sys.exit(0 if content["verified"] and not content["unmet_limits"] else 1)

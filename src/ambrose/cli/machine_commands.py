@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,6 +17,7 @@ from ambrose.terminal import (
     MACHINE,
     claim,
     load,
+    narrowed,
     print_table,
     progress_shown,
     say,
@@ -77,7 +79,7 @@ def check(machine: str, as_json: bool) -> None:
     """
     from ambrose.chain.check import facts, rows_of
 
-    known = facts(load(machine, magnets=False), machine)
+    known = facts(load(machine, magnets=False, part=False), machine, narrowed())
     if as_json:
         say_json(known)
     else:
@@ -315,6 +317,12 @@ METHODS = ("tustin", "zoh", "backward-euler", "matched")
     "--output-unit", help="Unit of the output currents, such as mA; default: the file's, else A."
 )
 @click.option(
+    "--feedback",
+    type=click.Choice(["subtracted", "added"]),
+    help="How a1 and a2 enter the sum that gives the output: subtracted (default), or added, as "
+    "CMSIS-DSP and SigmaDSP have it.",
+)
+@click.option(
     "--rate-hz",
     type=float,
     help="Sample rate of coefficients of z if the file has none; with --sampling the new rate.",
@@ -374,15 +382,15 @@ def write_imported(
     from ambrose.code.sampled import instability
     from ambrose.core.checks import InvalidInput
     from ambrose.judge.controller_file import read_controller, write_controller
-    from ambrose.law.filter_table import FEEDBACK
-    from ambrose.synthesis.design import named_for, not_held, resampled
+    from ambrose.law.filter_table import check_channels
+    from ambrose.synthesis.design import not_held, resampled
 
     known = None if machine is None else load(machine)
     claim(controller_file=output)
     stated |= {"input": given, "axes": axes, "rate_hz": None if sampling else rate_hz}
-    if axes is None and known is not None:
-        stated["default_axes"] = known.axes
-    law = read_controller(source, **stated)
+    law = read_controller(source, known, **stated)
+    if known is None:
+        check_channels(law.controller)
     if sampling is not None:
         law = resampled(law, rate_hz, sampling, prewarp_hz)
     elif prewarp_hz is not None:
@@ -391,15 +399,14 @@ def write_imported(
         )
 
     def other() -> Synthesis:
-        assert known is not None
-        turned = read_controller(source, **stated, **{FEEDBACK: True})
-        return replace(turned, controller=named_for(known, turned.controller))
+        with suppress(InvalidInput):  # where the file states it
+            return read_controller(source, known, **{**stated, "feedback": "added"})
+        return law
 
     wrong, lost = instability(law.controller), list[str]()
     if known is not None:
-        law = replace(law, controller=named_for(known, law.controller))
         with progress_shown(as_json) as progress:
-            lost = not_held(known, law, progress, other if law.controller.dt else None)
+            lost = not_held(known, law, progress, other)
     write_controller(output, law, known)
     kind = (
         "continuous" if law.controller.dt is None else f"sampled at {1 / law.controller.dt:.6g} Hz"

@@ -208,9 +208,7 @@ _GROUPS_IDENTIFY = {
     show_default=True,
     help="How to identify.",
 )
-@click.option(
-    "--controller", type=click.Path(path_type=Path), help="The controller that ran (*.json)."
-)
+@click.option("--controller", type=click.Path(path_type=Path), help="The controller that ran.")
 @options_from(METHODS)
 @click.option("--repeats", is_flag=True, help="The records are repeats: identify each alone, too.")
 @click.option(

@@ -86,7 +86,8 @@ class OnTarget(Simulating):
     "--controller",
     "path",
     type=click.Path(path_type=Path),
-    help="A controller file (*.json); default: the machine file's PID.",
+    help="The controller: its file, or a table of coefficients (*.csv, *.json, *.mat); default: "
+    "the machine file's PID.",
 )
 @click.option(
     "--scenario", required=True, help="A scenario file (*.toml) or the name of a bundled scenario."
@@ -204,10 +205,10 @@ def study_command(machine: str, output: Path | None, everything: bool, as_json: 
     from ambrose.report.tables import verdict
     from ambrose.synthesis.methods import methods
 
-    description = load(machine)
+    description = load(machine, part=False)
     directory = output or Path(f"study-{file_name(description.name)}")
     with progress_shown(as_json) as progress:
-        result = study(description, directory, progress=progress)
+        result = study(description, directory, axes=narrowed(), progress=progress)
     report = None if result.unwritten else directory / "report.html"
     if as_json:
         say_json({**result.to_dict(), "report": report and str(report)})

@@ -41,12 +41,12 @@ from ambrose.law.design_problem import Weights
 from ambrose.law.filter_table import (
     DEFAULT_AXES,
     FACTS,
-    FEEDBACK,
     controller_of,
     csv_table,
+    is_modal,
     is_table,
     mat_table,
-    other_feedback,
+    named_for,
 )
 from ambrose.law.law import LawLike, scheduling_named
 from ambrose.machine.file.tables import table_of
@@ -334,17 +334,20 @@ def _layout(content: Mapping[str, Any]) -> str:
     return "{\n " + ",\n ".join(lines) + "\n}\n"
 
 
-def read_controller(path: str | os.PathLike[str], **stated: Any) -> Synthesis:
+def read_controller(
+    path: str | os.PathLike[str], machine: Machine | None = None, **stated: Any
+) -> Synthesis:
     """The controller file at ``path``, every part of it checked; nothing in it is ever executed.
 
-    A table of another program (law/filter_table.py), *.csv, *.mat or JSON without "format",
-    is a controller that nothing is known of. stated: what such a table leaves open: rate_hz;
-    delay_samples; input, "error" (r - y) or "displacement" (y, whose sign is turned); input_unit
-    ("um"), output_unit ("mA"); axes, names for its channels in their order, and default_axes, where
-    it has none; other_feedback, whether a1 and a2 are of the other sign. Raises InvalidInput that
-    names the file, the key, its value and the remedy.
+    machine: whose it is; channels translate_x, tilt_y ... are then set between its axes, and those
+    without names are its axes in their order. A table of another program (law/filter_table.py),
+    *.csv, *.mat or JSON without "format", is a controller that nothing is known of. stated: what
+    such a table leaves open: rate_hz; delay_samples; input, "error" (r - y) or "displacement" (y,
+    whose sign is turned); input_unit ("um"), output_unit ("mA"); feedback, "subtracted" or "added"
+    (a1 and a2 are of the other sign); axes, names for its channels in their order. Raises
+    InvalidInput that names the file, the key, its value and the remedy.
     """
-    if unknown := [key for key in stated if key not in (*FACTS, DEFAULT_AXES, FEEDBACK)]:
+    if unknown := [key for key in stated if key not in (*FACTS, DEFAULT_AXES)]:
         raise invalid(
             "what is stated of a controller",
             quoted(unknown[0]),
@@ -352,10 +355,11 @@ def read_controller(path: str | os.PathLike[str], **stated: Any) -> Synthesis:
             "correct its name",
         )
     suffix = Path(path).suffix.lower()
-    turned = bool(stated.pop(FEEDBACK, False))
+    if machine is not None and machine.axes:
+        stated = {DEFAULT_AXES: machine.axes, **stated}
     try:
         if suffix == ".mat":
-            return _imported(mat_table(tree_of(Path(path))), stated, turned)
+            return _imported(mat_table(tree_of(Path(path))), machine, stated)
         text = read_text(path, "controller file", CONTROLLER_BYTES)
         content = csv_table(text) if suffix == ".csv" else _content(text)
         if (
@@ -363,19 +367,35 @@ def read_controller(path: str | os.PathLike[str], **stated: Any) -> Synthesis:
             and not {"format", "provenance"} & {*content}
             and is_table(content)
         ):
-            return _imported(content, stated, turned)
-        return _restated(_both(_parse(content)), stated)
+            return _imported(content, machine, stated)
+        return _placed(_restated(_both(_parse(content)), stated), machine)
     except InvalidInput as error:
         raise InvalidInput(
             f"controller file {path}: {str(error).removeprefix(f'{path}: ')}"
         ) from error
 
 
-def _imported(table: Mapping[str, Any], stated: Mapping[str, Any], turned: bool) -> Synthesis:
-    system, delay = controller_of(other_feedback(table) if turned else table, **stated)
-    return Synthesis(
-        system, provenance=Provenance(settings=None if delay is None else {"delay_samples": delay})
-    )
+def _imported(
+    table: Mapping[str, Any], machine: Machine | None, stated: Mapping[str, Any]
+) -> Synthesis:
+    system, delay = controller_of(table, **stated)
+    settings = None if delay is None else {"delay_samples": delay}
+    result = Synthesis(system, provenance=Provenance(settings=settings))
+    if machine is not None and not is_modal(system):
+        return replace(result, controller=named_for(machine, system))
+    return _placed(result, machine)
+
+
+def _placed(result: Synthesis, machine: Machine | None) -> Synthesis:
+    """The controller between the machine's axes, where its channels are the rotor's coordinates.
+    Raises InvalidInput.
+    """
+    if machine is None or result.scheduled is not None or not is_modal(result.controller):
+        return result
+    channels = ", ".join(name.removeprefix("err_") for name in result.controller.inputs)
+    note = f"its channels {channels} act between the axes {', '.join(machine.axes)}"
+    system = named_for(machine, result.controller)
+    return replace(result, controller=system, notes=(*result.notes, note))
 
 
 def _restated(result: Synthesis, stated: Mapping[str, Any]) -> Synthesis:

@@ -10,30 +10,34 @@ is: a sampled controller, not an analog one that resembles it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.core.statespace import StateSpace, balance_system
-from ambrose.law.pid import chain, section_matrix
+from ambrose.core.statespace import StateSpace, balance_system, poles, spectral_abscissa
+from ambrose.law.loop import match_axes
+from ambrose.law.pid import chain, modes, section_matrix
 from ambrose.machine.file.stations import named_table
+from ambrose.machine.machine import AXIS, Machine
 from ambrose.machine.ordinary_file import DELAY_SAMPLES, SAMPLE_TIME, STATES
-from ambrose.machine.part import Section
+from ambrose.machine.part import Section, modal_channels
 from ambrose.machine.units import DIMENSIONS, in_si, quoted
 from ambrose.machine.validation.controller import section_problems
 
 SOS = ("b0", "b1", "b2", "a0", "a1", "a2")
 ZPK = ("zeros", "poles", "gain")
+ON_CIRCLE = 1.001  # modulus of a pole of z that coefficients of few digits leave on the unit circle
 DEFAULT_AXES = "default_axes"  # stated for a table that names none
-FEEDBACK = "other_feedback"  # stated where its a1 and a2 are of the other sign
 FACTS = (
     "rate_hz",
     "delay_samples",
     "input",
     "input_unit",
     "output_unit",
+    "feedback",
     "axes",
 )  # what a table, or its reader, says of all of it
 _FILTERS: Mapping[str, tuple[str, ...]] = {
@@ -53,12 +57,14 @@ _OTHER_NAMES = {
     "fs": "rate_hz",
     "inputs": "axes",
 }
+_BEARINGS = 20  # whose bend_18_y is more than a machine has
 _SIGN = {"error": 1.0, "displacement": -1.0}
+_FEEDBACK = ("subtracted", "added")  # a1 u[k-1] + a2 u[k-2], in the sum that gives u[k]
 _HEADER = (
     f'"channel", then {", ".join(SOS)} or b, a or {", ".join(ZPK)}, and "rate_hz" where it is '
     "digital"
 )
-_CSV_WORDS = ("channel", "label", "input", "input_unit", "output_unit")
+_CSV_WORDS = ("channel", "label", "input", "input_unit", "output_unit", "feedback")
 # columns of a CSV table, all by their own names
 _CSV: Mapping[str, tuple[str, ...]] = dict.fromkeys(
     ("channel", *SOS, "b", "a", "num", "den", *ZPK, *FACTS[:-1], "label"), ()
@@ -78,7 +84,7 @@ def csv_table(text: str) -> dict[str, Any]:
     columns = {column.kind for column in table.columns}
     kinds = (SOS, ("b", "a"), ("num", "den"), ZPK)
     kind = max(kinds, key=lambda names: len(columns & {*names}) / len(names))
-    if missing := [name for name in ("channel", *kind) if name not in columns]:
+    if missing := [name for name in ("channel", *kind) if name not in {*columns, "a0"}]:
         raise InvalidInput(
             f"it lacks {', '.join(missing)}; its first line must name the columns {_HEADER}"
         )
@@ -88,6 +94,8 @@ def csv_table(text: str) -> dict[str, Any]:
             column.kind: cell.replace(",", ".") if table.mark == "," else cell
             for column, cell in row.items()
         }
+        if kind is SOS and "a0" not in columns:  # as signal processors have them: a0 = 1
+            cells["a0"] = "1"
         for key in FACTS[:-1]:
             facts.setdefault(key, set()).add(cells.get(key, ""))
         form = next(
@@ -147,8 +155,54 @@ def controller_of(table: Mapping[str, Any], **stated: Any) -> tuple[StateSpace, 
     stated: ``FACTS`` that the table leaves open (None: not stated), ``DEFAULT_AXES``. Raises
     InvalidInput, also where the two contradict.
     """
-    table = _named(table)
-    facts = _facts(table, stated)
+    facts = _facts(_named(table), stated)
+    system = _system(table, facts, stated)
+    if "feedback" not in facts:
+        _check_poles(system, table, facts, stated)
+    return system, facts.get("delay_samples")
+
+
+def _check_poles(
+    system: StateSpace,
+    table: Mapping[str, Any],
+    facts: Mapping[str, Any],
+    stated: Mapping[str, Any],
+) -> None:
+    """Refuses coefficients whose rate, or whose sign of a1 and a2, is plainly another. Raises
+    InvalidInput.
+
+    Poles z = exp(s T) of a controller lie in the unit circle. Read as s [rad/s] they would be
+    slower than a turn in six seconds, or unstable.
+    """
+
+    def radius(of: StateSpace) -> float:
+        return float(np.abs(poles(of)).max(initial=0.0))
+
+    own, turned = radius(system), math.inf
+    if own > ON_CIRCLE:
+        turned = radius(_system(table, {**facts, "feedback": "added"}, stated))
+    if not system.n_states or (own > ON_CIRCLE and turned > ON_CIRCLE):
+        return
+    if system.dt is not None and turned <= ON_CIRCLE:
+        raise InvalidInput(
+            f"its sections are unstable (a pole of z at modulus {own:.4g}), and stable with a1 and "
+            "a2 of the other sign, as CMSIS-DSP and SigmaDSP write them; say so with a column "
+            "feedback, added in every row (--feedback added of ambrose convert controller), or "
+            "turn the signs"
+        )
+    growing = own <= ON_CIRCLE or spectral_abscissa(system) > 0
+    if system.dt is None and growing and "sample_time" not in _named(table):
+        raise InvalidInput(
+            "it states no sample rate, and its poles are those of z; give it in a column rate_hz, "
+            "or with --rate-hz of ambrose convert controller (sample_time 0: they are of s)"
+        )
+
+
+def _system(
+    table: Mapping[str, Any], facts: Mapping[str, Any], stated: Mapping[str, Any]
+) -> StateSpace:
+    """The controller of a table with these facts. Raises InvalidInput."""
+    table = _named(other_feedback(table) if facts.get("feedback") == "added" else table)
     dt = None if facts.get("rate_hz") is None else 1 / facts["rate_hz"]
     form = next((key for key in _FORMS if key in table), None)
     known = {*FACTS, "sample_time", *_FORMS.get(form or "", ())}
@@ -206,10 +260,83 @@ def controller_of(table: Mapping[str, Any], **stated: Any) -> tuple[StateSpace, 
 
     # sign and units of the table, on B and D alone
     factor = _SIGN[facts.get("input", "error")] * facts["output_unit"] / facts["input_unit"]
-    system = StateSpace(
+    return StateSpace(
         system.A, system.B * factor, system.C, system.D * factor, system.inputs, system.outputs, dt
     )
-    return system, facts.get("delay_samples")
+
+
+def named_for(machine: Machine, system: StateSpace) -> StateSpace:
+    """The controller with the machine's axes in their order; one whose channels are translate_x,
+    tilt_y ... (machine/part.py) with the rotor's coordinates around it. Raises InvalidInput
+    where its channels are others.
+    """
+    own = [name.removeprefix("err_") for name in system.inputs]
+    modal = modal_channels(len(machine.bearings)) if machine.bearings else ()
+    if is_modal(system) and set(own) <= set(modal):
+        return _between_modes(machine, system, own, modal)
+    if sorted(own) != sorted(machine.axes):
+        raise invalid(
+            "the axes of the controller",
+            ", ".join(own),
+            f"those of {machine.name}, {', '.join(machine.axes)}"
+            + (f", or {', '.join(modal)}" if modal else ""),
+            "rename its channels, or name them in their order with --axes of ambrose convert "
+            "controller",
+        )
+    return match_axes(system, machine.axes, machine.name)
+
+
+def is_modal(system: StateSpace) -> bool:
+    """Whether all channels are the rotor's coordinates: translate_x, tilt_y, bend_1_x ..."""
+    known = modal_channels(_BEARINGS)
+    return all(name.removeprefix("err_") in known for name in system.inputs)
+
+
+def check_channels(system: StateSpace) -> None:
+    """Refuses names that no machine's axes have: those come in pairs, A_zeta and A_eta, or one by
+    itself along the shaft. Raises InvalidInput.
+    """
+    names = [name.removeprefix("err_") for name in system.inputs]
+    pairs = [f"{name.rpartition('_')[0]}_{way}" for name in names for way in ("zeta", "eta")]
+    if is_modal(system) or sorted(names) == sorted({*pairs}):
+        return
+    if len(names) != 1 or not names[0].endswith(AXIS):
+        raise invalid(
+            "the list of its channels",
+            ", ".join(names),
+            "pairs as A_zeta, A_eta, B_zeta, B_eta, or translate_x, translate_y, tilt_x, tilt_y",
+            "name them in their order (--axes, or --machine)",
+        )
+
+
+def _between_modes(
+    machine: Machine, system: StateSpace, own: Sequence[str], modal: Sequence[str]
+) -> StateSpace:
+    """Behind measured displacements to channels, before channels to currents; a channel that it
+    lacks is not controlled. Raises InvalidInput.
+    """
+    given = [name.removeprefix("u_") for name in system.outputs]
+    if sorted(given) != sorted(own):
+        raise invalid(
+            "the outputs of the controller",
+            ", ".join(given),
+            f"those of its inputs, {', '.join(own)}",
+            "name both alike",
+        )
+
+    # u = out K into err, the rows and columns of the channels that it has
+    into, out = modes(machine)
+    into = into[[modal.index(name) for name in own]]
+    out = out[:, [modal.index(name) for name in given]]
+    return StateSpace(
+        system.A,
+        system.B @ into,
+        out @ system.C,
+        out @ system.D @ into,
+        [f"err_{axis}" for axis in machine.axes],
+        [f"u_{axis}" for axis in machine.axes],
+        system.dt,
+    )
 
 
 def other_feedback(table: Any, key: str = "") -> Any:
@@ -220,6 +347,8 @@ def other_feedback(table: Any, key: str = "") -> Any:
         return {name: other_feedback(value, name) for name, value in table.items()}
     if key == "sos" and _depth(table) == 1:
         return [*table[:4], *(-_real(key, value) for value in table[4:])]
+    if key in ("a", "den") and _depth(table) == 1:
+        return [*table[:1], *(-_real(key, value) for value in table[1:])]
     return [other_feedback(value, key) for value in table] if isinstance(table, list) else table
 
 
@@ -280,6 +409,15 @@ def _fact(key: str, value: Any) -> Any:
                 quoted(value),
                 "error (r - y) or displacement (y)",
                 "state the controller's input",
+            )
+        return value
+    if key == "feedback":
+        if value not in _FEEDBACK:
+            raise invalid(
+                "feedback",
+                quoted(value),
+                " or ".join(_FEEDBACK),
+                "say how a1 and a2 enter the sum that gives the output",
             )
         return value
     if key in ("input_unit", "output_unit"):

@@ -32,12 +32,10 @@ from ambrose.judge.plants import envelope_of, judge_assumed
 from ambrose.judge.result import Provenance, Status, Synthesis, certify_as_it_runs, certify_envelope
 from ambrose.judge.verdict import verify_points
 from ambrose.law.law import law_of
-from ambrose.law.loop import DEFAULT, Timing, check_rate, closed_loop, match_axes, timing_of
-from ambrose.law.pid import modes
+from ambrose.law.loop import DEFAULT, Timing, check_rate, closed_loop, timing_of
 from ambrose.machine.criteria import SENSITIVITY, demand
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine, in_file, require_magnets
-from ambrose.machine.part import modal_channels
 from ambrose.model.assemble import assemble, bending_modes_of, judged_bending
 from ambrose.model.effects.rotor import free_modes
 from ambrose.model.plant import Plant
@@ -320,56 +318,6 @@ _FALLEN = 0.2  # of the largest real part, to which another unit must lower it t
 _SIGNS = {1.0: "", -1.0: "of the other sign (--input displacement turns it)"}
 
 
-def named_for(machine: Machine, system: StateSpace) -> StateSpace:
-    """The controller with the machine's axes in their order; one whose channels are translate_x,
-    tilt_y ... (machine/part.py) with the rotor's coordinates around it. Raises InvalidInput
-    where its channels are others.
-    """
-    own = [name.removeprefix("err_") for name in system.inputs]
-    modal = modal_channels(len(machine.bearings))
-    if own and set(own) <= set(modal) and not set(own) & set(machine.axes):
-        return _between_modes(machine, system, own, modal)
-    if missing := [axis for axis in machine.axes if axis not in own]:
-        remedy = f"name its channels in their order (--axes), or add those of {', '.join(missing)}"
-        raise invalid(
-            "the axes of the controller",
-            ", ".join(own),
-            f"those of {machine.name}, {', '.join(machine.axes)}",
-            remedy,
-        )
-    return match_axes(system, machine.axes, machine.name)
-
-
-def _between_modes(
-    machine: Machine, system: StateSpace, own: Sequence[str], modal: Sequence[str]
-) -> StateSpace:
-    """Behind measured displacements to channels, before channels to currents; a channel that it
-    lacks is not controlled. Raises InvalidInput.
-    """
-    given = [name.removeprefix("u_") for name in system.outputs]
-    if sorted(given) != sorted(own):
-        raise invalid(
-            "the outputs of the controller",
-            ", ".join(given),
-            f"those of its inputs, {', '.join(own)}",
-            "name both alike",
-        )
-
-    # u = out K into err, the rows and columns of the channels that it has
-    into, out = modes(machine)
-    into = into[[modal.index(name) for name in own]]
-    out = out[:, [modal.index(name) for name in given]]
-    return StateSpace(
-        system.A,
-        system.B @ into,
-        out @ system.C,
-        out @ system.D @ into,
-        [f"err_{axis}" for axis in machine.axes],
-        [f"u_{axis}" for axis in machine.axes],
-        system.dt,
-    )
-
-
 def resampled(
     law: Synthesis, rate: float | None, method: Any, prewarp_hz: float | None
 ) -> Synthesis:
@@ -425,7 +373,7 @@ def not_held(
     if other_feedback is not None and len(_lost(plants, other_feedback(), machine)) < len(lost):
         return [
             f"the loop is unstable at {points}, and not with a1 and a2 of the other sign, as "
-            "CMSIS-DSP and SigmaDSP write them; turn the sign of a1 and a2 in the file"
+            "CMSIS-DSP and SigmaDSP write them: --feedback added, or turn their signs in the file"
         ]
     counts = {pair: _lost(plants, _scaled(law, pair[0] * pair[1]), machine) for pair in others}
     best = min(others, key=lambda pair: (len(counts[pair]), max(counts[pair].values(), default=0)))
@@ -567,6 +515,7 @@ def provenance(plant: Plant, method: Method) -> Provenance:
     content = {
         "method": method.name,
         **settings(methods(), method.on(machine)),
+        **method.evidence(),
         "point": asdict(plant.point),
         "plant_states": plant.system.n_states,
     }

@@ -110,7 +110,7 @@ def test_static_loads_alone_and_beside():
     assert magnet_coefficients(done.machine, OperatingPoint())[0] == pytest.approx(found, rel=1e-6)
     items = tuple(Prbs(f"e_{a}", 0.1, 1e-3, order=10, seed=i) for i, a in enumerate(machine.axes))
     moving = amb.simulate(
-        machine, law(RIG), Scenario("prbs", 2.5, sequences=items), rate=1e4
+        machine, law(RIG), Scenario("prbs", 1.3, sequences=items), rate=1e4
     ).record
     assert not identify_over_bias(machine, [moving], {None: law(RIG)}, loads=[loads]).findings
     low = np.array([0.7 if name[:2] in {"u_", "i_"} else 1.0 for name in loads.signals])[:, None]

@@ -684,10 +684,12 @@ def bases_of(plan: Plan, progress: Progress = lambda stage: None) -> Bases:
     scenarios = {}
     for name in plan.named("machine"):
         file = place(name.removesuffix(AXIAL))  # the axis along the shaft is of the same file
+        machine = load_machine(file)
+        machine = machine.axial if name.endswith(AXIAL) else machine
         machines[name] = json.dumps(parse_toml(read_machine_text(file), name))
         for controller in plan.named("controller") if plan.task != "design" else ():
             if plan.place(controller).is_file():
-                controllers[controller, name] = read_controller(plan.place(controller))
+                controllers[controller, name] = read_controller(plan.place(controller), machine)
             elif Path(controller).suffix:
                 raise InvalidInput(
                     f"no controller file {plan.place(controller)}; give its path from the plan's "
@@ -695,8 +697,6 @@ def bases_of(plan: Plan, progress: Progress = lambda stage: None) -> Bases:
                 )
             else:
                 progress(f"{controller}: controller for {name}")
-                machine = load_machine(file)
-                machine = machine.axial if name.endswith(AXIAL) else machine
                 controllers[controller, name] = design(
                     assemble(machine, machine.operation.design), controller
                 )

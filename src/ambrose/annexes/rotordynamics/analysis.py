@@ -517,6 +517,7 @@ def lateral(
     def loop_at(speed: float) -> ShaftLoop:
         return shaft_loop(layout, replace(chosen, speed=speed, label=""), law, timing)
 
+    at_top = loop_at(chosen.speed)
     early = tuple(text[0].upper() + text[1:] + "." for text in clearance_doubts(machine))
     if stated is None and not _covers(loop_at, trip):
         early = (
@@ -526,7 +527,6 @@ def lateral(
         )
         trip = highest
     _reaches(loop_at, trip)
-    at_top = loop_at(chosen.speed)
     name = getattr(controller, "label", "") or ("none" if law is None else "as given")
     slowest = _slowest(machine, trip)
     progress("undamped critical speeds")

@@ -44,7 +44,8 @@ _MOST_ROWS = 200  # of a comparison in a terminal
     "--controller",
     type=click.Path(path_type=Path),
     default=None,
-    help="A controller file (*.json); left out for a rotor on journal bearings alone.",
+    help="The controller: its file, or a table of coefficients; left out for a rotor on journal "
+    "bearings alone.",
 )
 @click.option(
     "--point", help="The operating point at maximum continuous speed; default: the fastest one."

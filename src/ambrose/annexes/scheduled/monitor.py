@@ -39,10 +39,11 @@ def monitor(machine: Machine | str, controller: Any, record: Any, **options: Any
     from ambrose.annexes.scheduled.seal_watch import monitor as watch
     from ambrose.record.files import read_record
 
-    loaded = controller_of(controller)
+    watched = machine_of(machine)
+    loaded = controller_of(controller, watched)
     measured = read_record(Path(record)) if isinstance(record, str | os.PathLike) else record
     law = loaded if loaded.nominal is None else loaded.nominal
-    return watch(machine_of(machine), law, measured, **options)
+    return watch(watched, law, measured, **options)
 
 
 # The seal monitor as C99: one parameter of one seal, no heap, no library; what it does:

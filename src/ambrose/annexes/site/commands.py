@@ -118,9 +118,7 @@ def accept(
     help='A record with known weights on: "impeller=2 g@30", or several, with commas between; '
     "degrees (repeatable).",
 )
-@click.option(
-    "--controller", type=click.Path(path_type=Path), help="The controller that ran (*.json)."
-)
+@click.option("--controller", type=click.Path(path_type=Path), help="The controller that ran.")
 @click.option(
     "--amplitudes",
     type=click.Path(path_type=Path),
@@ -430,7 +428,7 @@ def bias(
     from ambrose.machine.ordinary_file import write_text
 
     description = load(machine)
-    laws = dict(map(_law, controllers))
+    laws = dict(_law(text, description) for text in controllers)
     claim(machine_file=output, report=report)
     with progress_shown(as_json) as progress:
         done = identify_over_bias(
@@ -466,7 +464,7 @@ def bias(
     sys.exit(0 if done.passed else 1)
 
 
-def _law(text: str) -> tuple[float | None, Any]:
+def _law(text: str, machine: Any) -> tuple[float | None, Any]:
     """ "6=pid6.json" -> 6.0 and the controller; a path alone -> None and the controller. Raises
     InvalidInput.
     """
@@ -477,7 +475,7 @@ def _law(text: str) -> tuple[float | None, Any]:
         key: float | None = float(amperes) if equals else None
     except ValueError:
         key, path = None, text
-    return key, read_controller(Path(path if key is not None else text))
+    return key, read_controller(Path(path if key is not None else text), machine)
 
 
 # `ambrose frf`.
@@ -490,9 +488,7 @@ METHODS = ("sines", "periods", "polynomials")
 @click.command()
 @MACHINE
 @click.argument("records", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option(
-    "--controller", type=click.Path(path_type=Path), help="The controller that ran (*.json)."
-)
+@click.option("--controller", type=click.Path(path_type=Path), help="The controller that ran.")
 @click.option("--method", type=click.Choice(METHODS), help="Default: what suits the excitation.")
 @click.option(
     "--from-hz", type=float, default=0.0, help="Lowest frequency; default: all that was excited."
@@ -617,7 +613,7 @@ _WORDS = {True: "passed", False: "failed", None: "for information"}
     "--controller",
     required=True,
     type=click.Path(path_type=Path),
-    help="The controller that ran (*.json), a fixed one.",
+    help="The controller that ran, a fixed one.",
 )
 @click.option(
     "--unknown",

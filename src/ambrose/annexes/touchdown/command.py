@@ -41,7 +41,7 @@ from ambrose.terminal import (
 @click.option(
     "--controller",
     type=click.Path(path_type=Path),
-    help="Another drop in which the magnets come on again under this controller (*.json).",
+    help="Another drop in which the magnets come on again under this controller.",
 )
 @click.option(
     "--power-back",

@@ -135,7 +135,7 @@ class LiveSession:
         self.machine = load_machine(project.machine)
         require_magnets(self.machine)
         self.controller = controller or _first_controller(project, self.machine)
-        law = read_controller(project.path("controllers", self.controller))
+        law = read_controller(project.path("controllers", self.controller), self.machine)
         self._lost = why_lost(self.controller, self.machine, law)
         self.rig = LiveRig(self.machine, law, initial=initial)
         self.rig.advance(1)  # compiles what a frame needs, while the page is told that it starts
@@ -384,7 +384,7 @@ class LiveSession:
         from ambrose.judge.controller_file import read_controller
 
         name = word(said, "controller")
-        law = read_controller(self._project.path("controllers", name))
+        law = read_controller(self._project.path("controllers", name), self.machine)
         self.rig.switch(law)
         self.controller = name
         self._lost = why_lost(name, self.machine, law)

@@ -203,7 +203,7 @@ def _look(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     settings = _turned(machine, given)
     laws: dict[str, Law] = {_SLIDERS: law_of(pid_controller(settings, machine))}
     for name in _chosen(project, given):
-        laws[name] = law_of(read_controller(project.path("controllers", name)))
+        laws[name] = law_of(read_controller(project.path("controllers", name), machine))
     seen = {
         name: [
             _glance(law, plant, machine, settings if name == _SLIDERS else None)
