@@ -207,7 +207,7 @@ def lowest(
     best: tuple[float, bool, str, Synthesis | None] = (
         float("inf"),
         False,
-        "nothing holds every point",
+        "no stable controller for all points",
         None,
     )
     least, most = _RANGES[lever]
