@@ -1,7 +1,7 @@
 """The campaigns of papers P4 and P5 (sec. 3.3) on the nonlinear rig: bearings, coupling, seal
 against frequency and pressure.
 
-`python -m benchmarks.campaign_p4` prints the figures of docs/reproduction.md with the truth beside
+`python -m benchmarks.campaign_p4` prints the figures of docs/research/reproduction.md with the truth beside
 them (two minutes of computing time); `-o DIR` also writes `p4.html` with the pictures; `--short` is
 the form that the tests run. The rig is the bundled seal-rig with weight, iron and 0.2 um rms of
 sensor noise, at 4 A of bias. Assumed, because the papers do not print it: the seal does nothing

@@ -34,7 +34,7 @@ OUTCOMES = {0: "passed", 1: "fails a check", 2: "refused"}
 MARKS = {0: "+", 1: "**1**", 2: "**2**"}
 
 
-def commands(machine, folder, levitation="levitation"):
+def commands(machine, folder, levitation="levitation", prbs="prbs"):
     """The commands of the chain in their order: {what it is: arguments}. What one writes the next
     ones read.
 
@@ -64,7 +64,7 @@ def commands(machine, folder, levitation="levitation"):
         "convert": ("convert", folder / "levitation.h5", "-o", folder / "levitation.csv"),
         "export": ("export", pid, "--to", "c", "--machine", machine, "-o", folder / "code"),
         "verify": ("verify", machine, "--controller", pid),
-        "prbs": ("simulate", machine, "--controller", pid, "--scenario", "prbs", "-o", record),
+        "prbs": ("simulate", machine, "--controller", pid, "--scenario", prbs, "-o", record),
         "identify": (
             "identify",
             machine,

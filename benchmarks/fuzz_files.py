@@ -39,7 +39,7 @@ EVERY_TABLE = Path("tests", "machine", "small.toml")
 # made by runs of their own, where they are asked for
 MADE = ("lateral", "their table", "rows")
 TEXTS = {"machine", "bundled", "every table", "controller", "csv", "plan", "scenario", "log", *MADE}
-TEXTS |= {"table", "unv", "columns"}
+TEXTS |= {"table", "unv", "columns", "responses csv", "responses json"}
 NOTHING_HAS = ("1e300", "-1e300", "1e-300", "-1e-300", "1e70", "-1e70")
 MILLION = (1e6, 1e-6)  # as of a unit that was left out, twice
 # what no sentence says: a place in the source, an entry of a matrix; to a user no type of Python
@@ -304,6 +304,8 @@ def originals(folder: Path) -> dict[str, list[bytes]]:
                 f"signals/{name}", data=row, chunks=(16,), compression="gzip", shuffle=True
             )
             data.attrs["unit"] = unit
+    for suffix, data in measured(amb.load_machine(machine), law, folder).items():
+        found[f"responses {suffix}"] = [data]
     found["hdf5"] = [write_record(record, folder / "r.h5").read_bytes(), old.read_bytes()]
     variables = {
         "y": wave,
@@ -332,6 +334,32 @@ def originals(folder: Path) -> dict[str, list[bytes]]:
             )
     found["tdms"] = [(folder / "r.tdms").read_bytes()]
     return found
+
+
+def measured(machine: Any, law: Any, folder: Path) -> dict[str, bytes]:
+    """The sensitivity of every axis, as an analyser would export it, in every own format."""
+    import numpy as np
+
+    import ambrose as amb
+    from ambrose.core.frequency import frequency_response
+    from ambrose.record.response import Path as Measured
+    from ambrose.record.response import Response
+    from ambrose.record.response_files import write_response
+
+    plant = amb.reduce(amb.assemble(machine))
+    omega = np.geomspace(10.0, 3e3, 40)
+    axes = machine.axes
+    G = frequency_response(plant.system, omega)
+    K = frequency_response(law, omega)
+    G = G.values[:, : len(axes), : len(axes)]
+    S = np.linalg.inv(np.eye(len(axes)) + G @ K.values)  # size and shape of one, no more
+    paths = [Measured("S", axis, axis, values=S[:, k, k]) for k, axis in enumerate(axes)]
+    point = amb.OperatingPoint(speed=0.0, seal_pressure=1e5)
+    found = Response(machine.name, omega, tuple(paths), point, sample_rate_hz=1e4)
+    return {
+        suffix: write_response(found, folder / f"responses.{suffix}").read_bytes()
+        for suffix in ("csv", "json", "h5")
+    }
 
 
 def logged(machine: Path, law: object, folder: Path) -> bytes:
@@ -464,6 +492,15 @@ def judge(kind: str, path: Path, folder: Path, *, apart: bool = False) -> str:
             ]
         ),
     }
+    if kind.startswith("responses "):
+        commands[kind] = random.Random(path.read_bytes()).choice(
+            [
+                ["record", "check", str(path), tiny],
+                ["verify", tiny, *running, "--measured", str(path), "--running", running[1]],
+                ["accept", tiny, running[1], str(path)],
+                ["identify", tiny, str(path), *running, *out_folder(folder)[:2]],
+            ]
+        )
     if kind == "calls":
         with chdir(out_folder(folder)[1]):
             return called(path.read_bytes())
@@ -722,7 +759,7 @@ def place(kind: str, folder: Path) -> Path:
     suffixes |= {"controller": "json", "hdf5": "h5", "log": "csv", "bundled": "toml"}
     suffixes |= {"table": "csv", "foreign": "h5", "columns": "toml", "calls": "txt"}
     suffixes |= {"lateral": "json", "their table": "csv", "rows": "jsonl"}
-    return folder / f"damaged.{suffixes.get(kind, kind)}"
+    return folder / f"damaged.{suffixes.get(kind, kind).removeprefix('responses ')}"
 
 
 def work(kind: str, folder: Path, seed: int, first: int, last: int) -> None:

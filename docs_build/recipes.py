@@ -268,7 +268,7 @@ def lowering():
 
 
 def printed_controller():
-    """docs/reproduction.md: how far our H-infinity controller is from the one that P5 prints, and where the rig rests with it.
+    """docs/research/reproduction.md: how far our H-infinity controller is from the one that P5 prints, and where the rig rests with it.
 
     Largest singular value of the difference over that of the printed one, up to 100 Hz, at 200 and at 400 Hz; the largest
     displacement [m] at a sensor under the rotor's weight.

@@ -12,7 +12,7 @@ from independent_rig import Rig, numbers_of
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """A linear rig at standstill; held: A, B, C of the plant as its controller sees it, y per u.
+    """A linear rig; held: A, B, C of the plant as its controller sees it, y per u.
 
     casing: (hertz, damping, part) of a mode that is no part of any machine file, beside the rotor
     at every axis; part: its peak over the plant's own size there.
@@ -23,14 +23,14 @@ class Truth:
     rate: float
 
     @staticmethod
-    def of(file, rate, magnets=(0.0, 0.0), mode=0.0, casing=None):
+    def of(file, rate, magnets=(0.0, 0.0), mode=0.0, casing=None, speed=0.0):
         numbers = numbers_of(file)
         for bearing in numbers["bearings"]:
             for key, part in zip(("ki", "ks"), magnets, strict=True):
                 bearing[key] = np.asarray(bearing[key]) * (1 + part)
         for section in numbers["shaft"]:
             section["youngs_modulus"] *= (1 + mode) ** 2
-        rig = Rig(numbers, linear=True)
+        rig = Rig(numbers, speed=speed, linear=True)
         A, B, C = rig.A, rig.Bv, rig.Cy
         a = len(rig.axes)
         if casing is not None:
@@ -109,7 +109,7 @@ class Truth:
                 value = X[:, i, j] + error[0] + 1j * error[1]
                 axes = self.rig.axes[i], self.rig.axes[j]
                 paths.append(Path(quantity, *axes, value, size**2 if stated else None))
-        point = OperatingPoint(0.0, 0.0)
+        point = OperatingPoint(self.rig.speed, 0.0)
         omega = 2 * np.pi * hertz
         return Response(name, omega, tuple(paths), point, sample_rate_hz=self.rate)
 

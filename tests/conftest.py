@@ -39,7 +39,9 @@ settings.load_profile("ci" if os.environ.get("CI") else "desk")
 LEFT = pytest.StashKey[list]()
 WHY = pytest.StashKey[str]()
 BEGIN = pytest.StashKey[tuple]()
-MEASURED = {}
+MEASURED, ALONE = {}, {}
+COSTS = {}  # [s] of every fixture that may be several tests'
+NEW = set()  # those of them that the running test has set up
 
 
 def pytest_addoption(parser):
@@ -98,18 +100,37 @@ def seconds():
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item):
     item.stash[BEGIN] = seconds()
+    NEW.clear()
     shape_contract.begin()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_fixture_setup(fixturedef):
+    """What a fixture costs that a test sets up for others, too."""
+    begin = seconds()
+    try:
+        return (yield)
+    finally:
+        if fixturedef.scope != "function":
+            COSTS[fixturedef] = max(now - then for now, then in zip(seconds(), begin, strict=True))
+            NEW.add(fixturedef)
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_teardown(item):
     took = [now - then for now, then in zip(seconds(), item.stash[BEGIN], strict=True)]
-    item.user_properties.append(("seconds", took))
+    # and what other tests have set up for it: alone it would pay for that
+    used = {one for found in item._fixtureinfo.name2fixturedefs.values() for one in found}
+    shared = sum(COSTS[one] for one in used & COSTS.keys() - NEW)
+    item.user_properties += [("seconds", took), ("shared", shared)]
 
 
 def pytest_runtest_logreport(report):
     if report.when == "teardown":
-        MEASURED[report.nodeid] = dict(report.user_properties).get("seconds", (0.0, 0.0))
+        told = dict(report.user_properties)
+        MEASURED[report.nodeid] = told.get("seconds", (0.0, 0.0))
+        # a browser and servers that go on are no children that were waited for
+        ALONE[report.nodeid] = max(MEASURED[report.nodeid]) + told.get("shared", 0.0)
 
 
 def pytest_unconfigure(config):
@@ -125,8 +146,7 @@ def pytest_terminal_summary(terminalreporter, config):
         for name, (processor, clock) in slowest:
             terminalreporter.write_line(f"{processor:6.1f} {clock:6.1f} {name}")
     if config.getoption("renew_durations"):
-        # a browser and servers that go on are no children that were waited for
-        reach.write_durations({name: max(took) for name, took in MEASURED.items()})
+        reach.write_durations(ALONE)
 
 
 def pytest_ignore_collect(collection_path):

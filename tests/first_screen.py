@@ -40,7 +40,7 @@ def measure(browser, path, width):
     context = browser.new_context(viewport={"width": width, "height": WIDTHS[width]})
     try:
         page = context.new_page()
-        page.goto(path.as_uri(), wait_until="load")
+        page.goto(path.as_uri(), wait_until="load", timeout=300_000)
         words = page.evaluate(_WORDS)
         ends = [page.evaluate(_BOTTOM, kind) for kind in (".decision", ".opening, .verdicts")]
         wider = page.evaluate("document.documentElement.scrollWidth > innerWidth")

@@ -1,9 +1,10 @@
 """Which of the slow tests a change can be the cause of, by the imports that they reach.
 
-``durations.json`` beside this file holds the tests above ``NOTED`` seconds of processor time
-(`make durations` renews it). A test above ``SLOW`` runs where a file that it reaches differs from
-the main branch; quick and new ones always run, and all do on CI, with ``--all``, and where the
-difference cannot be told. Within a run the longest files come first.
+``durations.json`` beside this file holds the tests above ``NOTED`` seconds of processor time, each
+with the fixtures that it has in common with others: left alone, it pays for them (`make durations`
+renews it). A test above ``SLOW`` runs where a file that it reaches differs from the main branch;
+quick and new ones always run, and all do on CI, with ``--all``, and where the difference cannot be
+told. Within a run the longest files come first.
 """
 
 import ast
@@ -220,11 +221,16 @@ def durations():
 
 
 def write_durations(seconds):
-    """Keep what was measured: tests that were not run keep theirs while their file is there.
+    """Keep what was measured: the tests of a file that is there and was not run keep theirs.
 
     seconds: {test: seconds of processor time}.
     """
-    kept = {name: s for name, s in durations().items() if (ROOT / name.split("::")[0]).exists()}
+    run = {name.split("::")[0] for name in seconds}
+    kept = {
+        name: s
+        for name, s in durations().items()
+        if (file := name.split("::")[0]) not in run and (ROOT / file).exists()
+    }
     # a test that is named after a place of this computer is another one elsewhere
     here = {n: s for n, s in {**kept, **seconds}.items() if str(ROOT) not in n}
     noted = {n: round(s, 1) for n, s in here.items() if s >= NOTED}

@@ -296,7 +296,7 @@ BAD = {
     ),
     "pressures in another unit": (
         ["synthesize", RIG, "--method", "lpv", "--pressures-bar", "0", "408000"],
-        "the highest of its operating points is 408000 Pa; is it in another unit?",
+        "the machine's highest operating point has 408000 Pa; check the unit of the schedule",
     ),
     "one pressure twice": (
         ["synthesize", RIG, "--method", "lpv", "--pressures-bar", "2", "2"],

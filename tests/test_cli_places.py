@@ -218,4 +218,4 @@ def test_a_path_with_a_null_character_is_refused(call_with):
 @pytest.mark.parametrize("words", [["study", "seal-rig", "-o", "a\0b"], ["check", "a\0b"]])
 def test_an_argument_with_a_null_character_is_refused(words):
     done = call(*words)
-    assert done.exit_code == 2 and "an argument holds a null character" in done.stderr
+    assert done.exit_code == 2 and "an argument contains a null character" in done.stderr

@@ -107,7 +107,13 @@ NEW_KINDS = (  # three bearings; fast; hyphens in axes, no seal
 @pytest.mark.parametrize("name", NEW_KINDS)
 def test_the_rest_of_the_chain_with_the_file_s_controller(name, tmp_path):
     """Nothing is refused (status 2); what misses a requirement says so (status 1)."""
-    steps = commands(name, tmp_path)
+    text = call(("scenarios", "prbs"))[2]["text"]
+    brief = tmp_path / "brief.toml"
+    brief.write_text(
+        text.replace('"5 s"', '"1.1 s"'), encoding="utf-8"
+    )  # once through its sequence
+    assert brief.read_text() != text
+    steps = commands(name, tmp_path, prbs=brief)
     for what in ("pid", "levitation", "convert", "prbs", "identify", "cycle"):
         status, _, said = call(steps[what])
         assert status in {0, 1}, (what, said)

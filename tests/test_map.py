@@ -64,8 +64,8 @@ def test_sampled_poles_are_shown_as_continuous_ones():
     """
     slow = [
         explore(
-            coarse("three-bearing-train"),
-            law("three-bearing-train"),
+            coarse("two-disc-rotor"),
+            law("two-disc-rotor"),
             parts=["poles"],
             rate=r,
             speed=(0.0, 100.0),

@@ -91,6 +91,7 @@ def design(
     method: Method | str = "tuned",
     *,
     point: OperatingPoint | str | None = None,
+    axes: str | None = None,
     synchronous: str | None = None,
     synchronous_band: tuple[float, float] | None = None,
     synchronous_time: float | None = None,
@@ -108,13 +109,15 @@ def design(
     ``Lpv`` (scheduled over speed, pressure or both); or the name of one, "tuned", its options then
     by name: ``amb.design(machine, amb.Tuned(order=12))`` is ``amb.design(machine, "tuned",
     order=12)``. What each has stands with it, help(amb.Tuned). point: of the machine (None: the one
-    that designs are made for). synchronous: "current-free", "force-free", "vibration-free" or
-    "damping" (with a band), a block against unbalance beside it, on within synchronous_band [rad/s]
-    (None: from a tenth of the top speed), with the time constant synchronous_time [s] (None: as
-    short as the loop allows); base: the controller to add it to, in place of a new design. A
-    controller that does not hold the full plant comes back with status "unstable". Raises
+    that designs are made for). axes: "radial" or "thrust", the one group of axes (None: all, that
+    of the thrust axis in ``thrust``). synchronous: "current-free", "force-free", "vibration-free"
+    or "damping" (with a band), a block against unbalance beside it, on within synchronous_band
+    [rad/s] (None: from a tenth of the top speed), with the time constant synchronous_time [s]
+    (None: as short as the loop allows); base: the controller to add it to, in place of a new
+    design. A controller that does not hold the full plant comes back with status "unstable". Raises
     InvalidInput.
     """
+    from ambrose.model.plant import Plant as PlantType
     from ambrose.options import Rejecting
     from ambrose.synthesis.synchronous_design import in_words
 
@@ -125,11 +128,41 @@ def design(
         synchronous_update=synchronous_update,
         base=base,
     )
-    result, block = design_with_block(machine, method, asked, point, progress, **options)
+    own: Any = machine
+    others: tuple[Machine, ...] = ()
+    if isinstance(machine, PlantType):
+        if axes not in (None, machine.machine.group):
+            machine.machine.only(str(axes))
+    elif axes is not None:
+        own = machine_of(machine).only(axes)
+    elif base is None:
+        own, *rest = machine_of(machine).groups.values()
+        others = tuple(rest)
+    thrust = [design_thrust(part, method, point, progress, **options) for part in others]
+    result, block = design_with_block(own, method, asked, point, progress, **options)
+    result = replace(result, thrust=thrust[0]) if thrust else result
     if block is None:
         return result
     left_out = tuple(f"synchronous block: {in_words(item)}" for item in block.forbidden)
     return replace(result, notes=(*result.notes, *left_out, *block.notes))
+
+
+def design_thrust(
+    machine: Machine,
+    method: Method | str,
+    point: OperatingPoint | str | None,
+    progress: Progress,
+    **options: Any,
+) -> Synthesis:
+    """The controller of the thrust axis beside that of the radial axes. Raises InvalidInput that
+    says how to leave it out.
+    """
+    from ambrose.options import Rejecting
+
+    try:
+        return design_with_block(machine, method, Rejecting(), point, progress, **options)[0]
+    except InvalidInput as error:
+        raise InvalidInput(f"{error}; or leave it out: --axes radial") from error
 
 
 def design_with_block(
@@ -179,10 +212,11 @@ def design_with_block(
 
 def verify(
     machine: Machine | Plant | str,
-    controller: Any,
+    controller: Any = None,
     *,
     points: Sequence[OperatingPoint | str] | OperatingPoint | str | None = None,
     axial: Any = None,
+    axes: str | None = None,
     tolerances: bool = True,
     everywhere: bool = False,
     measured: Any = (),
@@ -197,8 +231,10 @@ def verify(
     """The controller judged on the full plant: at every operating point, and over all tolerances
     around each.
 
-    points: of the machine, one or several (None: all, the one that designs are made for first).
-    axial: the controller of the axis along the shaft, which is judged as well.
+    controller: None: the machine file's own PID. points: of the machine, one or several (None: all,
+    the one that designs are made for first). axial: the controller of the thrust axis (None: that
+    of ``controller``, else the machine file's PID). axes: "radial" or "thrust", the one group of
+    axes to judge (None: all; one without a controller is not passed).
     everywhere: bounds and proofs over the tolerances around every point, not the first alone.
     measured: frequency responses or their files, which decide at their operating points; running:
     the controller that ran then (None: they are of the plant alone).
@@ -215,12 +251,14 @@ def verify(
     from ambrose.model.plant import Plant as PlantType
 
     place = machine if isinstance(machine, PlantType) else machine_of(machine)
+    law, along = _known_laws(place, controller, axial, axes)
     several: Any = points if points is None or isinstance(points, list | tuple) else [points]
     return verify_controller(
         place,
-        controller_of(controller, place),
+        law,
         several,
-        axial=None if axial is None else controller_of(axial),
+        axial=along,
+        axes=axes,
         tolerances=tolerances,
         everywhere=everywhere,
         measured=measured,
@@ -236,7 +274,7 @@ def verify(
 
 def simulate(
     machine: Machine | Plant | str,
-    controller: Any,
+    controller: Any = None,
     scenario: Any = "levitation",
     *,
     point: OperatingPoint | str | None = None,
@@ -246,24 +284,26 @@ def simulate(
     """A scenario on the nonlinear virtual rig (``linear``: on the linear loop): its record and its
     outcome.
 
+    controller: None: the machine file's PID, of the thrust axis as well; all axes run together.
     scenario: the name of a bundled one, the path of a file, or a Scenario. point: where the machine
     runs (None: the nominal one). options: rate [Hz] and delay_samples of the controller (None: as
     it or the machine file says); fallback, the fixed controller that takes over from one scheduled
     over pressure where the reading cannot be trusted, with pressure_rate, pressure_error,
     stuck_after and estimate as in ``rig.trial.simulate_scenario``; axial, the controller of the
-    axis along the shaft, with which all axes run together; others as for ``rig.virtual_rig.run``:
-    seed, bending_modes, path, second, progress. Raises InvalidInput.
+    thrust axis; axes, "radial" or "thrust", the one group that runs; others as for
+    ``rig.virtual_rig.run``: seed, bending_modes, path, second, progress. Raises InvalidInput.
     """
     from ambrose.model.plant import Plant as PlantType
     from ambrose.rig.trial import simulate_scenario
 
     place = machine if isinstance(machine, PlantType) else machine_of(machine)
-    for name in ("fallback", "second", "axial"):
+    for name in ("fallback", "second"):
         if options.get(name) is not None:
-            options[name] = controller_of(options[name], None if name == "axial" else place)
-    return simulate_scenario(
-        place, controller_of(controller, place), scenario, point=point, linear=linear, **options
-    )
+            options[name] = controller_of(options[name], place)
+    given = options.pop("axial", None)
+    law, along = _known_laws(place, controller, given, options.get("axes"))
+    options |= {"thrust": along} if given is None else {"axial": along}
+    return simulate_scenario(place, law, scenario, point=point, linear=linear, **options)
 
 
 def identify(
@@ -329,8 +369,10 @@ def export(
     name. machine: the one it is for; None: the bundled machine that it was made for. fallback: the
     fixed controller that takes over from one scheduled over pressure where the reading cannot be
     trusted (C only). replaces: the controller that runs now (C only); parameters.json then says
-    what changes in the tables of its code. Raises InvalidInput, and UnstableSystem where the
-    sampled loop does not hold the machine.
+    what changes in the tables of its code. options also take axial, the controller of the thrust
+    axis (None: that of ``controller``), and axes, "radial" or "thrust", the one group that is
+    written; both groups are one unit in C and FMU, else two. Raises InvalidInput, and
+    UnstableSystem where the sampled loop does not hold the machine.
     """
     from ambrose.code.pipeline import export as exported
 
@@ -354,14 +396,15 @@ def study(
     machine: Machine | str,
     directory: str | os.PathLike[str] = "study",
     *,
+    axes: str | None = None,
     progress: Progress = _quiet,
 ) -> Study:
     """The whole chain: every controller that the machine file allows, verified, tried, compared in
-    report.html.
+    report.html. axes: "radial" or "thrust", the one group of axes (None: all).
     """
     from ambrose.chain.study import study as studied
 
-    return studied(machine_of(machine), Path(directory), progress)
+    return studied(machine_of(machine), Path(directory), progress, axes)
 
 
 def plot(item: Any) -> Any:
@@ -380,6 +423,31 @@ def machine_of(machine: Any) -> Machine:
     from ambrose.machine.file.toml import load_machine
 
     return load_machine(machine)
+
+
+def _known_laws(
+    place: Machine | Plant, controller: Any, axial: Any, axes: str | None
+) -> tuple[Law, Law | None]:
+    """The law of the machine's own axes, and the one beside it of its thrust axis: those given,
+    else the PIDs of the machine file (None: it has none, or the first law holds it). Raises
+    InvalidInput.
+    """
+    from ambrose.judge.result import machine_pid
+    from ambrose.law.loop import check_side
+    from ambrose.machine.machine import THRUST
+    from ambrose.model.plant import Plant as PlantType
+
+    machine = place.machine if isinstance(place, PlantType) else place
+    own = machine if axes is None else machine.only(axes)
+    law = machine_pid(own) if controller is None else controller_of(controller, own)
+    if axial is not None:
+        return law, controller_of(axial)
+    others = {} if axes is not None or place is not machine else machine.groups
+    along = others.get(THRUST)
+    if along is None or along is own or law.thrust is not None or along.reference is None:
+        return law, None
+    check_side(law.inputs, machine)
+    return law, machine_pid(along)
 
 
 def controller_of(controller: Any, machine: Machine | Plant | None = None) -> Law:

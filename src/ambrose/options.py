@@ -281,6 +281,11 @@ def percent(value: float) -> float:
     return value / 100
 
 
+GROUPS = ("radial", "thrust")  # of axes
+_AXIAL = (
+    "The controller of the thrust axis; default: that of the controller file, else the machine "
+    "file's PID."
+)
 # What the verbs of the front door take beside machine, controller, records and files.
 
 
@@ -310,18 +315,17 @@ class AsItRuns(Options):
 class Verifying(AsItRuns):
     """How a controller is judged.
 
-    axial: the controller of the axis along the shaft, all axes are judged then. tolerances: the
-    tolerance boxes, too; everywhere: bounds and proofs over them around every operating point, not
-    the first alone. How fast the machine may move between its points:
-    pressure_rate [Pa/s], the fastest change of the seal pressure (None: the machine file's; without
-    one nothing is proved for a pressure that changes); pressure_error [Pa], how far off what a
-    controller scheduled over the pressure is told may be; speed_rate [rad/s^2], the fastest run-up
-    (None: nothing is proved for a speed that changes).
+    axial: the controller of the thrust axis, where the other does not hold it. axes: the one group
+    of axes that is judged (None: all). tolerances: the tolerance boxes, too; everywhere: bounds and
+    proofs over them around every operating point, not the first alone. How fast the machine may
+    move between its points: pressure_rate [Pa/s], the fastest change of the seal pressure (None:
+    the machine file's; without one nothing is proved for a pressure that changes); pressure_error
+    [Pa], how far off what a controller scheduled over the pressure is told may be; speed_rate
+    [rad/s^2], the fastest run-up (None: nothing is proved for a speed that changes).
     """
 
-    axial: LawLike | None = option(
-        None, "The controller of machine.toml#axial: the thrust axis is judged as well."
-    )
+    axial: LawLike | None = option(None, _AXIAL)
+    axes: str | None = option(None, "One group of axes.", flag=None, choices=GROUPS)
     tolerances: bool = option(True, "Over the tolerances as well.", flag=None)
     everywhere: bool = option(
         False,
@@ -370,16 +374,16 @@ _ONE_LAW = "the linear loop has all modes, no noise and one controller; leave on
 class Simulating(AsItRuns):
     """How a scenario is run: on the nonlinear virtual rig or, linear, on the linear closed loop.
 
-    axial: the controller of the axis along the shaft, all axes then run together. second: takes
-    over at the scenario's switch_at. fallback: the fixed controller that takes over where the
-    pressure that a schedule is told cannot be trusted; pressure_rate [Pa/s]: how fast that may
-    change (None: the machine file's), pressure_error [Pa]: how far off the reading may be,
-    stuck_after [s]: how long it may be the very same (None: for ever); estimate: a seal monitor
-    runs "beside" the reading, or "alone" in place of it. bending_modes: per plane of the rig (None:
-    3, as identification models). seed: of the sensors' noise. path (.h5): where the record is
-    written while it grows. every: only each so many-th sample is recorded; dt [s]: longest
-    integration step (None: by the machine's fastest pole); computing_delay [samples]: of the rig
-    (None: that of the timing).
+    axial: the controller of the thrust axis, where the other does not hold it; all axes then run
+    together. axes: the one group that runs. second: takes over at the scenario's switch_at.
+    fallback: the fixed controller that takes over where the pressure that a schedule is told cannot
+    be trusted; pressure_rate [Pa/s]: how fast that may change (None: the machine file's),
+    pressure_error [Pa]: how far off the reading may be, stuck_after [s]: how long it may be the
+    very same (None: for ever); estimate: a seal monitor runs "beside" the reading, or "alone" in
+    place of it. bending_modes: per plane of the rig (None: 3, as identification models). seed: of
+    the sensors' noise. path (.h5): where the record is written while it grows. every: only each so
+    many-th sample is recorded; dt [s]: longest integration step (None: by the machine's fastest
+    pole); computing_delay [samples]: of the rig (None: that of the timing).
     """
 
     rules: ClassVar[Rules] = (
@@ -399,9 +403,8 @@ class Simulating(AsItRuns):
             "name the controller that takes over",
         ),
     )
-    axial: LawLike | None = option(
-        None, "The controller of machine.toml#axial: all axes run together."
-    )
+    axial: LawLike | None = option(None, _AXIAL)
+    axes: str | None = option(None, "One group of axes.", flag=None, choices=GROUPS)
     linear: bool = option(False, "The linear model instead of the nonlinear virtual rig.")
     second: LawLike | None = option(
         None, "A controller that takes over at the scenario's switch_at."

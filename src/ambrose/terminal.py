@@ -30,6 +30,7 @@ from click.core import ParameterSource
 
 from ambrose.machine.units import one_line
 from ambrose.options import (
+    GROUPS,
     Option,
     Options,
     check_option,
@@ -62,7 +63,30 @@ def AS_JSON(command: Callable[..., Any]) -> Callable[..., Any]:  # a decorator
     )(with_details(command))
 
 
-MACHINE = click.argument("machine")
+def _narrow(ctx: click.Context, _: click.Parameter, axes: str | None) -> None:
+    ctx.meta[_AXES] = axes
+
+
+AXES = click.option(
+    "--axes",
+    type=click.Choice(GROUPS),
+    expose_value=False,
+    callback=_narrow,
+    help="Only these axes; default: all of the machine that the command is for.",
+)
+
+
+def MACHINE(command: Callable[..., Any]) -> Callable[..., Any]:  # a decorator
+    """The machine, and which of its axes."""
+    return click.argument("machine")(AXES(command))
+
+
+def narrowed() -> str | None:
+    """The group of axes that the command line names; None: it names none."""
+    context = click.get_current_context(silent=True)
+    return None if context is None else context.meta.get(_AXES)
+
+
 _SUFFIX = {"controller file": ".json", "machine file": ".toml", "report": ".html", "page": ".html"}
 # endings that mean a file of this package, or a record
 _KINDS = {*_SUFFIX.values(), ".h5", ".hdf5", ".csv", ".mat", ".tdms"}
@@ -71,6 +95,7 @@ _WIDTH, _LINES = 100, 40  # of one screen, in columns and lines
 _FULL = 140  # columns of the tables of --details where there is no terminal
 _LEAST = 60  # columns of a terminal, below which lines are torn
 _LEAD = 30  # characters
+_AXES = "axes"  # in the meta data of click's context
 _SCREEN = "one screen"  # in the meta data of click's context
 _said: list[bool] = []  # whether this command has printed its JSON object
 # nobody reads: as Unix, as Windows, and as a terminal that was closed says it
@@ -300,28 +325,41 @@ def quantity_given(text: str | None, option: str, dimension: str) -> float | Non
 
 
 def load(machine: str, *, magnets: bool = True, part: bool = True) -> Machine:
-    """The machine of a command; magnets: whether the command needs magnetic bearings; part: whether
-    it takes the radial axes alone, which is said. Raises InvalidInput.
+    """The machine of a command, with --axes thrust that of its thrust axis; magnets: whether the
+    command needs magnetic bearings; part: whether it takes one group of axes, the radial ones
+    unless --axes says another, which is noted. Raises InvalidInput.
     """
-    from ambrose.machine.file.toml import AXIAL, load_machine
-    from ambrose.machine.machine import require_magnets
+    from ambrose.machine.file.toml import load_machine
+    from ambrose.machine.machine import THRUST, require_magnets
 
-    found = load_machine(machine)
-    if part and found.has_axis:
-        say(f"note: the radial axes; along the shaft: {machine}{AXIAL}", err=True)
+    found, axes = load_machine(machine), narrowed()
+    if axes is not None:
+        narrow = found.only(axes)
+        found = narrow if axes == THRUST else found
+    elif part:
+        noted_part(found)
     if magnets:
         require_magnets(found)
     return found
 
 
+def noted_part(machine: Machine) -> None:
+    """Notes that what is done is of the radial axes, where the machine has others."""
+    if len(machine.groups) > 1:
+        say("note: the radial axes; --axes thrust takes the thrust axis", err=True)
+
+
 def load_controller(path: Path, machine: Machine) -> Synthesis:
-    """A controller file; that it was made for another machine, or before the machine file was
-    changed, is noted.
+    """A controller file, of one that holds all axes the part of a machine that is the thrust axis;
+    that it was made for another machine, or before the machine file was changed, is noted.
     """
     from ambrose.judge.controller_file import read_controller
     from ambrose.machine.file.toml import machine_hash
+    from ambrose.machine.machine import THRUST
 
     result = read_controller(path, machine)
+    if machine.group == THRUST and result.thrust is not None:
+        result = result.thrust
     provenance = result.provenance
     if not provenance.date:  # a table of another program
         dt = result.controller.dt
@@ -335,8 +373,7 @@ def load_controller(path: Path, machine: Machine) -> Synthesis:
             else f"other numbers of {machine.name}"
         )
         say(
-            f"note: {path} was made for {other}; what is said here is about {machine.name} as it "
-            "is given",
+            f"note: {path} was made for {other}; results are for {machine.name} as given",
             err=True,
         )
     return result
@@ -617,7 +654,7 @@ def claim(**places: Path | None) -> None:
         check_file(path, what)
         if (other := known.setdefault(os.path.realpath(path), what)) != what:
             raise InvalidInput(
-                f"{path} is to hold the {other} and the {what}; give one of them another name"
+                f"{path} is named for the {other} and the {what}; give one of them another name"
             )
         if (
             (suffix := _SUFFIX.get(what, "")) != path.suffix.lower()

@@ -40,5 +40,5 @@ def test_where_the_pid_is_lost_one_is_tuned_for_the_rate_of_the_rig(machine, mon
     rate = {"rate": DEFAULT.rate, "delay_samples": DEFAULT.delay_samples}
     assert asked == [("pid", {}), ("tuned", rate)]
     words = why_lost("weak.json", machine, lost)
-    assert words.startswith("weak.json does not hold the machine at nominal pressure, ")
+    assert words.startswith("weak.json is unstable on this machine at nominal pressure, ")
     assert words.endswith("choose another one")

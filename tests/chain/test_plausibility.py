@@ -137,7 +137,7 @@ CASES = {
     "tip": (lambda m: points(m, 1e5), r"surface runs at [\d,.e+]+ m/s"),
     "one bearing": (
         alone,
-        r"one bearing cannot hold the tilting of a rotor 0.86 m long; add a second",
+        r"one bearing cannot carry the tilting of a rotor 0.86 m long; add a second",
     ),
     "node": (
         lambda m: sensor_at(m, 0.196),
@@ -194,7 +194,7 @@ CASES = {
     "delay": (
         lambda m: replace(m, controller=replace(m.controller, sample_time=1e-3, delay=8e-3)),
         r"no controller can: the unstable pole at 23.9 Hz and the delay of 8.5 ms keep S above "
-        r"5.29, and 3 is asked; sample",
+        r"5.29, and the limit is 3; sample",
     ),
     "rate": (
         lambda m: replace(m, controller=replace(m.controller, sample_time=1e-2)),
@@ -576,11 +576,13 @@ def test_a_controller_that_loses_a_point_is_told_and_no_fault():
     of it.
     """
     known = facts(coarse("seal-rig"))
-    (line,) = [text for text in known["remarks"] if "does not hold" in text]
+    (line,) = [text for text in known["remarks"] if "[controller] is unstable" in text]
     assert "twice nominal pressure" in line and "zero pressure" not in line
     assert not known["doubts"]
     assert not [
-        text for text in facts(amb.load_machine("flywheel"))["remarks"] if "does not hold" in text
+        text
+        for text in facts(amb.load_machine("flywheel"))["remarks"]
+        if "[controller] is unstable" in text
     ]
 
 

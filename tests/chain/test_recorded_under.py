@@ -69,7 +69,7 @@ def test_one_that_holds_is_taken_in_place_of_the_pid(plant, made):
     chosen = reference(plant, made)
     assert chosen.candidate is made[1]
     assert chosen.words.startswith("H-infinity, because PID (+")
-    assert "does not hold the machine at 140 Hz (P3), sampled at 10000 Hz" in chosen.words
+    assert "does not stabilise the machine at 140 Hz (P3), sampled at 10000 Hz" in chosen.words
 
 
 def test_nothing_is_chosen_before_it_is_certain(plant, made):

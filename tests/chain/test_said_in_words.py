@@ -54,7 +54,7 @@ def test_the_rig_names_the_judged_mode_that_it_lacks(pid):
     every = free_bending_frequencies(finite_element_rotor(MACHINE), 12)
     assert len(judged) == (every <= max(2000 * HERTZ, 3 * TOP)).sum()
     run = amb.simulate(MACHINE, pid, Scenario("rest", 0.01))
-    assert f"bending mode 4 ({judged[3] / HERTZ:.4g} Hz) is judged but not on the rig" in run.text
+    assert f"bending mode 4 ({judged[3] / HERTZ:.4g} Hz) is checked but not on the rig" in run.text
     assert (
         "bending mode" not in amb.simulate(MACHINE, pid, Scenario("rest", 0.01), linear=True).text
     )

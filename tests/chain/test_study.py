@@ -170,7 +170,7 @@ def test_a_study_that_fails_in_a_late_stage_keeps_its_report(stubs, tmp_path, st
 
 def test_a_study_that_commissions_nothing_says_so(stubs, tmp_path):
     """It ended with status 0 where a controller met every check."""
-    why = "nothing to record: PID does not hold the machine; state [controller] sample_time"
+    why = "nothing to record: PID does not stabilise the machine; state [controller] sample_time"
     stubs.setattr(workflow, "reference", lambda *rest: Reference(None, why))
     assert run(tmp_path / "api").passed and "report.html" in names(tmp_path / "api")
     done = CliRunner().invoke(main, ["study", "seal-rig", "-o", str(tmp_path / "cli")])

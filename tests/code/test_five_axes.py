@@ -32,7 +32,7 @@ def machine():
 
 @cache
 def laws():
-    return amb.design(machine(), "pid"), amb.design(machine().axial, "pid")
+    return amb.design(machine(), "pid", axes="radial"), amb.design(machine().axial, "pid")
 
 
 @cache
@@ -91,10 +91,41 @@ def test_one_step_is_both_twins(tmp_path):
         assert np.abs(currents[:, part] - twin).max() <= 1e-12 * np.abs(twin).max()
 
 
+@pytest.mark.parametrize("to", ["mat", "st"])
+def test_what_holds_one_group_is_written_as_two_units(to, tmp_path):
+    """A file of both groups gives what the controllers give one by one, and says why two."""
+    radial, axial = laws()
+    how = {"to": to, "force": True}
+    both = amb.export(replace(radial, thrust=axial), tmp_path / "both", machine=machine(), **how)
+    assert "holds one" in both.apart and both.to_dict()["two_units"] == both.apart
+    amb.export(radial, tmp_path / "one", machine=machine(), axes="radial", **how)
+    amb.export(axial, tmp_path / "other", machine=machine().axial, name="controller_axial", **how)
+    written = {path.name for path in both.paths}
+    alone = [path for part in ("one", "other") for path in (tmp_path / part).iterdir()]
+    assert written == {path.name for path in alone}
+    for path in alone:
+        if to == "st":
+            assert (tmp_path / "both" / path.name).read_text() == path.read_text()
+
+
+@compiled
+def test_a_file_of_both_groups_is_one_unit(tmp_path):
+    """Byte by byte that of two files; --axes narrows it to one of them."""
+    radial, axial = laws()
+    both = replace(radial, thrust=axial)
+    one = delivered(tmp_path / "two")
+    amb.export(both, tmp_path / "one", to="c", machine=machine(), force=True)
+    for path in one.paths:
+        other = (tmp_path / "one" / path.name).read_text()
+        assert other.replace(both.digest, radial.digest) == path.read_text(), path.name
+    narrow = amb.export(both, tmp_path / "z", to="c", machine=machine(), axes="thrust", force=True)
+    assert narrow.axial is None and narrow.deployment.controller.outputs == ("u_T_z",)
+    assert not (tmp_path / "z" / "controller_axes.c").exists()
+
+
 @pytest.mark.parametrize(
     ("how", "words"),
     [
-        ({"to": "st"}, "write C or an FMU, or write each controller by itself"),
         ({"to": "c", "bare_metal": True}, "export each controller by itself"),
         ({"to": "c", "machine": "axial"}, "name the radial controller first"),
         ({"to": "c", "machine": "seal-rig"}, "no thrust bearing"),

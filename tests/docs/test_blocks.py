@@ -20,8 +20,23 @@ from docs_build.blocks import (
 )
 
 from ambrose.cli import main
+from ambrose.rig import scenario
 
 NAMES = [name for name, path in pages().items() if blocks(path.read_text(encoding="utf-8"))]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def brief_sequence():
+    """The bundled sequence once through: of five seconds of it the pages show no figure."""
+    read = scenario.read_toml
+
+    def brief(path, kind):
+        document = read(path, kind)
+        return document | ({"duration": "1.1 s"} if document.get("name") == "prbs" else {})
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scenario, "read_toml", brief)
+        yield
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -29,7 +29,7 @@ def test_every_figure_that_a_page_quotes_is_stored(name):
 README = [  # the README is read where no site builder fills figures in
     "a finite-element rotor ({{ check.rotor_states }} states)",
     "a reduced plant ({{ check.reduced_rotor_states }} rotor states)",
-    "mu ({{ study.mu.states }} states) holds everywhere with a largest sensitivity of {{ "
+    "mu ({{ study.mu.states }} states) is stable everywhere with a largest sensitivity of {{ "
     "study.mu.worst:.1f }}",
     "the mu controller polished to {{ study.polish.states }} states passes every check with {{ "
     "study.polish.worst:.2f }}",

@@ -1,11 +1,11 @@
-"""docs/reproduction.md: the second table, of the thesis' conclusions, has the kinds, verdicts and commands of the first."""
+"""docs/research/reproduction.md: the second table, of the thesis' conclusions, has the kinds, verdicts and commands of the first."""
 
 import re
 
 import pytest
 from docs_build import DOCS
 
-PAGE = (DOCS / "reproduction.md").read_text(encoding="utf-8")
+PAGE = (DOCS / "research" / "reproduction.md").read_text(encoding="utf-8")
 KINDS = ("independent", "inputs recovered", "assumed", "none")
 VERDICTS = ("reproduced", "in part", "not reproduced", "refuted", "open")
 ITEMS = {

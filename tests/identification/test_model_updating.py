@@ -46,7 +46,7 @@ def found(values, relative=0.01, point=NOMINAL, machine="seal-rig"):
         True,
         4,
         (),
-        "the residuals hold no trace of the excitation",
+        "the residuals contain no trace of the excitation",
     )
 
 

@@ -18,16 +18,16 @@ from ambrose.judge.sampled import SampledBox, check_over_box, sampled_box
 from ambrose.law.loop import Timing, match_controller
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import Tolerance
-from ambrose.machine.file.toml import load_machine
 from ambrose.model.assemble import assemble
 from ambrose.model.uncertainty import perturbed, tolerances_around
+from coarse import coarse
 
 TIMING = Timing(5e-5)
 DAMPING = Tolerance("rotor.bending_5.damping", 0.6)  # of a mode that a reduced plant had cut
 
 
 def machine(*more):
-    rig = load_machine("two-disc-rotor")
+    rig = coarse("two-disc-rotor")
     return replace(rig, tolerances=(*rig.tolerances, *more))
 
 

@@ -77,8 +77,9 @@ def test_published_p5_plant():
     np.testing.assert_allclose(peaks, [3.91, 2.63, 2.31, 2.48, 3.94], atol=0.02)
 
 
+@pytest.mark.parametrize("most", [12, pytest.param(30, marks=pytest.mark.study)])
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_random_plant_against_the_other_codes(kind):
+def test_every_random_plant_against_the_other_codes(kind, most):
     """All are solved and verified; where another code's gamma is lower, its own loop's norm shows
     that it is wrong.
 
@@ -87,7 +88,9 @@ def test_every_random_plant_against_the_other_codes(kind):
     lies below it.
     """
     count: Counter[str] = Counter()
-    for row in (r for r in ORACLE["rows"] if r["kind"] == kind):
+    rows = [r for r in ORACLE["rows"] if r["kind"] == kind]
+    assert len(rows) == 30
+    for row in rows[:most]:
         item = plant(kind, row["seed"])
         assert np.abs(item.system.A).sum() + np.abs(item.system.B).sum() == pytest.approx(
             row["checksum"], rel=1e-9
@@ -123,10 +126,8 @@ def test_every_random_plant_against_the_other_codes(kind):
                 ] += 1
             else:
                 count[f"{name} agrees"] += 1
-    total = sum(r["kind"] == kind for r in ORACLE["rows"])
-    assert total == 30
     assert count["failed"] == 0, count
     assert count["wider back-off"] == 0, count
     assert count["lmi lower"] + count["sb10ad lower"] == 0, count
     assert count["lmi higher"] + count["sb10ad higher"] == 0, count
-    assert count["lmi agrees"] >= 15, count
+    assert count["lmi agrees"] >= most / 2, count

@@ -2,7 +2,7 @@
 loads; each test has its id.
 
 A short form (two repeats, 0.6 s, few loads) of `python -m benchmarks.campaign_p2`, which prints the
-figures quoted in docs/reproduction.md.
+figures quoted in docs/research/reproduction.md.
 """
 
 import importlib

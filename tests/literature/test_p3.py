@@ -1,4 +1,4 @@
-"""Statements P3.1 to P3.6 on the bundled turboexpander; the figures are in docs/reproduction.md.
+"""Statements P3.1 to P3.6 on the bundled turboexpander; the figures are in docs/research/reproduction.md.
 
 `python -m benchmarks.campaign_p3` prints them all and draws the families.
 """

@@ -1,7 +1,7 @@
 """Statements P3.7 and P3.8 of paper P3: LPV against the mu controller of 140 Hz through the
 turboexpander's spin-up.
 
-A short version: LPV on 5 grid points instead of 8. The figures of docs/reproduction.md come from 8.
+A short version: LPV on 5 grid points instead of 8. The figures of docs/research/reproduction.md come from 8.
 """
 
 from __future__ import annotations

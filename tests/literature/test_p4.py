@@ -1,6 +1,6 @@
 """Paper P4 on the nonlinear rig: bearings, coupling and seal; each test has its id.
 
-The figures quoted in docs/reproduction.md are printed by `python -m benchmarks.campaign_p4`, which
+The figures quoted in docs/research/reproduction.md are printed by `python -m benchmarks.campaign_p4`, which
 runs the same functions.
 """
 

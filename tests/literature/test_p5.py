@@ -1,7 +1,7 @@
 """P5.6, P5.10, P5.12 and thesis 7.2.2 on the rig where k alone follows the pressure (P5 section
 4.1); ids as in the docs.
 
-`pytest tests/literature/test_p5.py -s` prints the figures quoted in docs/reproduction.md.
+`pytest tests/literature/test_p5.py -s` prints the figures quoted in docs/research/reproduction.md.
 """
 
 import numpy as np

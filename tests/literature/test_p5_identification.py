@@ -1,7 +1,7 @@
 """Paper P5, section 3.3, on the nonlinear rig: seal coefficients against pressure from impulses;
 each test has its id.
 
-The figures quoted in docs/reproduction.md are printed by `python -m benchmarks.campaign_p4`.
+The figures quoted in docs/research/reproduction.md are printed by `python -m benchmarks.campaign_p4`.
 """
 
 import importlib

@@ -1,7 +1,7 @@
 """The H-infinity controller that P5 prints (Appendix B, 20 states) on three models, beside our own
 of the same design.
 
-The table "The printed controller" of docs/reproduction.md is read and compared with what is
+The table "The printed controller" of docs/research/reproduction.md is read and compared with what is
 computed here; `pytest tests/literature/test_published_controller.py -s` prints its rows.
 """
 
@@ -37,7 +37,7 @@ from ambrose.synthesis.hinf import hinf_synthesis
 pytestmark = pytest.mark.literature
 HZ = 2 * np.pi
 DATA = json.loads((Path(__file__).parent / "published_hinf.json").read_text(encoding="utf-8"))
-PAGE = Path(__file__).parents[2] / "docs" / "reproduction.md"
+PAGE = Path(__file__).parents[2] / "docs" / "research" / "reproduction.md"
 AXES = tuple(DATA["axes"])
 ERROR = 20e-6  # m; the print's unit of the displacement error
 TIMES_K = (0, 1, 2)  # times the nominal cross-coupled stiffness
@@ -164,7 +164,7 @@ def on_the_rig(which, label):
 
 
 def table():
-    """{(model, k, controller): figures} as docs/reproduction.md states them."""
+    """{(model, k, controller): figures} as docs/research/reproduction.md states them."""
     section = (
         PAGE.read_text(encoding="utf-8")
         .partition("## The printed controller")[2]

@@ -3,7 +3,7 @@ carries its id in the docs.
 
 P5's are judged on both cases of the seal (P5.13): with k alone following the pressure, as in P5
 section 4.1, and with all its coefficients, as in section 5.2. `pytest
-tests/literature/test_reproduction.py -s` prints the figures quoted in docs/reproduction.md.
+tests/literature/test_reproduction.py -s` prints the figures quoted in docs/research/reproduction.md.
 """
 
 from functools import cache

@@ -1,4 +1,4 @@
-"""docs/reproduction.md: every published statement has one row, a kind and a verdict, and the page
+"""docs/research/reproduction.md: every published statement has one row, a kind and a verdict, and the page
 counts its own rows.
 """
 
@@ -10,7 +10,7 @@ import pytest
 
 pytestmark = pytest.mark.literature
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "reproduction.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "research" / "reproduction.md").read_text(encoding="utf-8")
 KINDS = ("independent", "inputs recovered", "assumed", "none")
 VERDICTS = ("reproduced", "in part", "not reproduced", "refuted", "open")
 LAST = {"P1": 3, "P2": 6, "P3": 8, "P4": 7, "P5": 13}

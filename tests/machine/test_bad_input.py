@@ -622,7 +622,7 @@ SLIPS = {
         "[[bearing.measured]]\nbias_current = 6\nforce_per_current = 1\nnegative_stiffness = "
         "1\n[[bearing.measured]]\n",
         "[[bearing]] A, [[bearing.measured]] 2",
-        "bias_current 6 A stands there twice",
+        "bias_current 6 A is listed twice",
     ),
     "touchdown outside the gap": (
         '"250 um"',

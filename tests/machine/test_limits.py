@@ -509,7 +509,7 @@ def test_damaged_files_are_read_or_refused(workshop, kind):
     assert kind in kinds
     files = [path.read_bytes() for path in sorted(folder.glob(f"{kind}.*.original"))]
     path = fuzz_files.place(kind, folder)
-    for _, data in zip(range(8), fuzz_files.cases(kind, files, seed=5), strict=False):
+    for _, data in zip(range(4), fuzz_files.cases(kind, files, seed=5), strict=False):
         path.write_bytes(data)
         assert fuzz_files.judge(kind, path, folder) in {"read", "refused"}
 
@@ -583,4 +583,4 @@ def test_a_thousand_damaged_files_of_each_kind():
 
 
 def test_some_damaged_files_of_each_kind():
-    assert fuzz_files.run(2, 1) == 0
+    assert fuzz_files.run(1, 1) == 0

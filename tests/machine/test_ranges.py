@@ -117,6 +117,8 @@ ABSURD = {
     "pressure of a glacier": ('pressure_rate = "20 bar/s"', 'pressure_rate = "20e-6 bar/s"'),
     "no disturbance": ("output_disturbance = 2", "output_disturbance = 2e-6"),
     "uneven T": ("real = [[[1, 0, 0, 0]", "real = [[[1e6, 0, 0, 0]"),
+    "filter of hours": ("denominator = [1, 8000]", "denominator = [1e6, 8000]"),
+    "no error at all": ("low_frequency_error = 0.002", "low_frequency_error = 2e-9"),
     "load of a planet": ('force = "0.2 kN"', 'force = "0.2e12 kN"'),
     "clearance of a room": ('diametral = "0.4 mm"', 'diametral = "4 m"'),
     "steel like gas": ('density = "4.43 g/cm^3"', 'density = "4.43 kg/m^3"'),

@@ -38,7 +38,7 @@ def machine():
 
 @cache
 def laws():
-    return amb.design(machine(), "pid"), amb.design(machine().axial, "pid")
+    return amb.design(machine(), "pid", axes="radial"), amb.design(machine().axial, "pid")
 
 
 @cache
@@ -53,7 +53,7 @@ def test_each_part_moves_as_by_itself():
     """
     radial, axial = laws()
     across, along = LIFT.parted(machine())
-    alone = amb.simulate(machine(), radial, across, point="standstill", seed=4)
+    alone = amb.simulate(machine(), radial, across, point="standstill", seed=4, axes="radial")
     thrust = amb.simulate(machine().axial, axial, along, point="standstill", seed=5)
     run = lifted()
     assert run.outcome == "completed", run.text
@@ -64,6 +64,32 @@ def test_each_part_moves_as_by_itself():
     page = record_page(run, machine())
     (section,) = (part for part in page.sections if part.title == "Along the shaft")
     assert len(section.figures) == 4  # between the stops, outputs, currents, forces
+
+
+def test_a_controller_of_both_groups_and_the_file_s_own_pids_run_all_axes():
+    """As the two controllers given one by one; what takes the radial axes alone is said."""
+    radial, axial = laws()
+    both = replace(radial, thrust=axial)
+    short = Scenario("short", 0.02, pulses=(Pulse("f_thrust_z", -60.0, 0.0),))
+    runs = [
+        amb.simulate(machine(), law, short, point="standstill", seed=4, **given)
+        for law, given in ((radial, {"axial": axial}), (both, {}), (None, {}))
+    ]
+    for run in runs:
+        assert np.array_equal(run.record.values, runs[0].record.values)
+        assert "q_T_z" in run.record.signals and "alone" not in run.text
+        assert [part for part, _ in run.laws] == ["Controller", "Axial controller"]
+    narrow = {"point": "standstill", "seed": 4}
+    thrust = amb.simulate(machine(), both, short, axes="thrust", **narrow)
+    assert np.array_equal(
+        thrust.record["q_T_z"],
+        amb.simulate(machine().axial, axial, short, **narrow).record["q_T_z"],
+    )
+    push = Scenario("push", 0.02, pulses=(Pulse("e_first_zeta", 0.2, 0.0),))
+    alone = amb.simulate(machine(), both, push, linear=True)
+    assert "q_T_z" not in alone.record.signals
+    assert alone.text.endswith("radial axes alone: the linear model is of one group of axes")
+    assert [part for part, _ in alone.laws] == ["Controller"]
 
 
 @needs("C compiler")
@@ -123,7 +149,7 @@ def test_a_rotor_at_rest_lies_on_contact_elements_and_mount_in_series():
     """N/k_c, the elements' deflection from K d^1.5 of both rows, N/k_m: under half the weight."""
     radial, _ = laws()
     rest = Scenario("rest", 0.4, failures=(Failure(0.0),), initial="resting", speed=0.0)
-    run = amb.simulate(machine(), radial, rest, point="standstill")
+    run = amb.simulate(machine(), radial, rest, point="standstill", axes="radial")
     late = run.record.time > 0.35
     K, p = 1e3 / 1e-5**1.5, (100 / (1e3 / 1e-5**1.5)) ** (2 / 3)
     total = 0.0
@@ -146,7 +172,7 @@ def test_a_rotor_at_rest_lies_on_contact_elements_and_mount_in_series():
     [
         ({"machine": "seal-rig"}, "no thrust bearing"),
         (
-            {"axial": None, "scenario": "five-axes"},
+            {"axial": None, "axes": "radial", "scenario": "five-axes"},
             r"acts along the shaft; give its axial.*--axial",
         ),
         ({"linear": True}, "axial is given, but must be left out with linear"),
@@ -163,6 +189,6 @@ def test_what_cannot_run_together_is_refused(how, words):
         )
     if how.get("axial", "") is None:
         axial = None
-    rest = {name: how[name] for name in ("linear", "rate") if name in how}
+    rest = {name: how[name] for name in ("linear", "rate", "axes") if name in how}
     with pytest.raises(InvalidInput, match=words):
         amb.simulate(target, radial, how.get("scenario", LIFT), axial=axial, **rest)

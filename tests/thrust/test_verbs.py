@@ -8,18 +8,18 @@ import json
 import re
 import sys
 from dataclasses import replace
-from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from jsonschema import Draft202012Validator
 
 import ambrose as amb
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
-from ambrose.judge.checks import OVER_TOLERANCES
-from ambrose.judge.controller_file import write_controller
+from ambrose.judge.checks import OVER_TOLERANCES, Check, Checks, Verification
+from ambrose.judge.controller_file import controller_schema, read_controller, write_controller
 from ambrose.judge.result import pid_synthesis
 from ambrose.machine.file.toml import dumps_machine
 from ambrose.record.files import read_record, write_record
@@ -56,26 +56,42 @@ def folder(tmp_path_factory):
     return folder
 
 
+NO_PID = {
+    '[thrust_bearing.controller]\ngain = "22 A/mm"\nintegral_time = "60 ms"\n'
+    'derivative_time = "4 ms"\nderivative_filter = 0.05\n': ""
+}
+
+
+def checks_of(verification):
+    """{label: its checks as plain data}."""
+    return {label: checks.to_dict()["checks"] for label, checks in verification.labelled}
+
+
 def test_all_five_axes_are_judged_as_each_is_alone(folder):
-    """Also over the tolerances; without the controller of the thrust axis it is said that nothing
-    is known of it.
+    """Also over the tolerances; without a controller of the thrust axis five axes are not
+    passed.
     """
     whole, options = machine(), {"rate": 2e4}
     radial = pid_synthesis(amb.assemble(whole, "rest"))
     axial = pid_synthesis(amb.assemble(whole.axial, "rest"))
-    alone = amb.verify(whole, radial, **options)
+    alone = amb.verify(whole, radial, axes="radial", **options)
     thrust = amb.verify(whole.axial, axial, **options)
     both = amb.verify(whole, radial, axial=axial, **options)
-    expected = [(label, checks.to_dict()["checks"]) for label, checks in alone.labelled]
-    for label, checks in thrust.labelled:
+    expected = checks_of(alone)
+    for label, checks in checks_of(thrust).items():
         point = label.removeprefix(OVER_TOLERANCES + " around ")
-        name = label.replace(point, f"thrust: {point}")
-        expected.append((name, checks.to_dict()["checks"]))
-    found = [(label, checks.to_dict()["checks"]) for label, checks in both.labelled]
-    assert sorted(found, key=itemgetter(0)) == sorted(expected, key=itemgetter(0))
+        expected[label.replace(point, f"thrust: {point}")] = checks
+    assert checks_of(both) == expected
+    assert checks_of(amb.verify(whole, radial, **options)) == expected  # the file's own PID
+    assert checks_of(amb.verify(whole, replace(radial, thrust=axial), **options)) == expected
     assert both.passed == (alone.passed and thrust.passed)
-    assert alone.not_judged == ("thrust axis",) and both.not_judged == thrust.not_judged == ()
-    assert "radial axes" in deciding_verdict(alone) and "thrust axis" in unchecked(alone)[0]
+    assert "(radial axes, 2 oper" in deciding_verdict(alone) and not unchecked(alone)
+    unknown = amb.verify(machine(NO_PID), radial, tolerances=False, **options)
+    assert unknown.not_judged == ("thrust axis",) and not unknown.passed
+    held = replace(unknown, points=(Checks("rated", True, ()),))
+    assert deciding_verdict(held).startswith("FAILED: the thrust axis has no controller (radial")
+    assert replace(held, not_judged=()).passed
+    assert "Not checked: the thrust axis. Give its controller" in unchecked(unknown)[0]
     assert (
         f"thrust axis ({len(thrust.points)} states), {len(alone.points)} oper"
         in deciding_verdict(both)
@@ -84,6 +100,139 @@ def test_all_five_axes_are_judged_as_each_is_alone(folder):
     assert not amb.verify(whole, radial, axial=lost, **options).passed
     with pytest.raises(InvalidInput, match="no thrust bearing; leave it out"):
         amb.verify("seal-rig", radial, axial=axial)
+
+
+@pytest.mark.parametrize("kind", ["moving", "synchronous"])
+def test_what_is_found_of_the_thrust_axis_in_motion_counts(kind):
+    def verdict(*checks):
+        points = (Checks("rated", True, ()),)
+        return Verification(points, **{kind: (Checks("while it changes", True, checks),)})
+
+    lost = Check("moving.gain", "gain", 2.0, "-", 1.0, passed=False)
+    radial, thrust = verdict(), verdict(lost)
+    both = radial.with_thrust(thrust)
+    assert radial.passed and not both.passed and not thrust.passed
+    assert both["thrust: while it changes"].failed == (lost,)
+    assert both["while it changes"].passed
+
+
+def test_controllers_that_are_exchanged_or_given_twice_are_told_what_to_do():
+    whole = machine()
+    radial, axial = (pid_synthesis(amb.assemble(part, "rest")) for part in (whole, whole.axial))
+    for laws, words in (
+        ((axial, radial), "are exchanged; swap them"),
+        ((axial, axial), "the one given as axial is; give that of the radial axes A_zeta"),
+        ((radial, radial), "axial is a controller of the radial axes; give that of T_z"),
+        ((replace(radial, thrust=axial), axial), "two controllers, .* leave it out"),
+    ):
+        with pytest.raises(InvalidInput, match=words):
+            amb.verify(whole, laws[0], axial=laws[1])
+    with pytest.raises(InvalidInput, match=r"has no PID of its own; .* add a \[thrust_bearing"):
+        amb.verify(machine(NO_PID), axes="thrust")
+
+
+def test_one_file_holds_both_groups_and_each_command_takes_what_it_is_for(folder):
+    whole = machine()
+    radial, axial = (pid_synthesis(amb.assemble(part, "rest")) for part in (whole, whole.axial))
+    path = write_controller(folder / "both.json", replace(radial, thrust=axial), whole)
+    read = read_controller(path)
+    assert read.thrust == axial and replace(read, thrust=None) == radial
+    assert read.digest == read.provenance.digest
+    written = json.loads(path.read_text())
+    Draft202012Validator(controller_schema()).validate(written)
+    one = json.loads((folder / "pid.json").read_text())
+    for part in (one, written["thrust"]):
+        part["provenance"] = {**part["provenance"], "date": "", "digest": None}
+    assert {"format": "ambrose-controller", "version": 3, **written["thrust"]} == one
+    of_both = run(folder, "verify five.toml --controller both.json --json")
+    own = run(folder, "verify five.toml --json")
+    assert of_both.exit_code == own.exit_code
+    two, file_s = (json.loads(done.stdout) for done in (of_both, own))
+    assert two["points"] == file_s["points"] and two["tolerances"] == file_s["tolerances"]
+    assert [item["label"] for item in two["points"] if "thrust" in item["label"]]
+    assert two["axes"] == ["radial", "thrust"]
+    short, long, part = (
+        json.loads(run(folder, f"verify {words} --json").stdout)
+        for words in (
+            "five.toml#axial --controller pid.json",
+            "five.toml --axes thrust --controller pid.json",
+            "five.toml --axes thrust --controller both.json",
+        )
+    )
+    assert short == long
+    assert short["points"] == part["points"]
+    radial_alone = json.loads(run(folder, "verify five.toml --axes radial --json").stdout)
+    assert radial_alone["axes"] == ["radial"] and not radial_alone["not_judged"]
+    assert radial_alone["points"] == two["points"][:2]
+
+
+def test_both_groups_are_designed_into_one_file(folder):
+    """Each as by itself; what one group cannot have is told before the other is designed."""
+    line = "synthesize five.toml --method pid -o one.json"
+    done = run(folder, f"{line} --json")
+    assert done.exit_code in {0, 1}, done.output
+    summary, both = json.loads(done.stdout), read_controller(folder / "one.json")
+    assert both == amb.design(machine(), "pid")
+    axial = read_controller(folder / "pid.json")
+    assert both.thrust.outputs == ("u_T_z",)
+    assert np.array_equal(both.thrust.controller.A, axial.controller.A)
+    for group in ("radial", "thrust"):
+        alone = run(
+            folder, f"synthesize five.toml --axes {group} --method pid -o {group}.json --json"
+        )
+        told, found = json.loads(alone.stdout), read_controller(folder / f"{group}.json")
+        expected = summary["thrust"] if group == "thrust" else {**summary, "thrust": None}
+        assert {**told, "controller": None, "thrust": None} == {
+            **expected,
+            "controller": None,
+            "thrust": None,
+        }
+        assert found == (both.thrust if group == "thrust" else replace(both, thrust=None))
+    assert "thrust axis, pid controller" in run(folder, line).stdout
+    refused = run(folder, "synthesize five.toml --method lpv")
+    assert refused.exit_code == 2 and "or leave it out: --axes radial" in refused.stderr
+    refused = run(
+        folder, "synthesize five.toml --axes thrust --structure pid --machine-file new.toml"
+    )
+    assert refused.exit_code == 2 and "left out for the thrust axis" in refused.stderr
+
+
+def test_a_check_shows_both_groups_and_narrows(folder):
+    whole, along, short, radial = (
+        json.loads(run(folder, f"check {words} --json").stdout)
+        for words in (
+            "five.toml",
+            "five.toml --axes thrust",
+            "five.toml#axial",
+            "five.toml --axes radial",
+        )
+    )
+    assert along == short
+    thrust = whole.pop("thrust")
+    assert whole == radial
+    assert thrust == {name: along[name] for name in along if name not in {"doubts", "remarks"}}
+    assert "thrust axis: static capacity" in run(folder, "check five.toml --details").stdout
+    refused = run(folder, "check five.toml#axial --axes radial")
+    assert refused.exit_code == 2 and "is the thrust axis alone" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"thrust": {"inputs": []}}, r"thrust\.inputs"),
+        ({"thrust": {"thrust": {}}}, "thrust has the unknown key 'thrust'"),
+        ({"thrust": {"A": [[1.0]]}}, "thrust: the length of row|thrust: the number of rows"),
+    ],
+)
+def test_a_wrong_thrust_table_is_refused_by_its_place(folder, change, words):
+    whole = machine()
+    radial, axial = (pid_synthesis(amb.assemble(part, "rest")) for part in (whole, whole.axial))
+    path = write_controller(folder / "wrong.json", replace(radial, thrust=axial), whole)
+    content = json.loads(path.read_text())
+    content["thrust"] |= change["thrust"]
+    path.write_text(json.dumps(content))
+    with pytest.raises(InvalidInput, match=words):
+        read_controller(path)
 
 
 def run(folder, line):

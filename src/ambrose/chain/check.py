@@ -69,6 +69,8 @@ from ambrose.report.theme import quantity
 
 def rows_of(facts: dict[str, Any]) -> list[tuple[str, str]]:
     """The facts of a machine (``chain.check.facts``) in words, as rows of quantity and value."""
+    if not facts:
+        return []
     if "axis" in facts:
         return list(axial_rows(facts, quantity))
     unstable = ", ".join(f"{re:.1f}{im + 0.0:+.1f}j" for re, im in facts["unstable_poles_rad_s"])
@@ -112,6 +114,7 @@ def rows_of(facts: dict[str, Any]) -> list[tuple[str, str]]:
         ("operating points", ", ".join(facts["operating_points"])),
         ("uncertain parameters", ", ".join(facts["tolerances"]) or "none"),
         ("assumed entries", f"{facts['assumed']}, listed with their reasons in the report"),
+        *((f"thrust axis: {name}", value) for name, value in rows_of(facts.get("thrust", {}))),
     ]
 
 
@@ -318,6 +321,8 @@ _POWER, _IMPELLER = 1e3, 0.1
 _NARROW = 0.006
 # between the largest and the least singular value of T: axes and bearings differ by ten
 _UNEVEN, _NOTHING = 1e4, 1e-12
+# [rad/s] between which filters have their corners, as ranges.toml has it of their frequencies
+_SLOW, _QUICK = 0.1 * _HERTZ, 1e6 * _HERTZ
 # between a stage's rated speed and the machine's: about the root of 9.55 rpm per rad/s, half way to
 # a mistaken unit
 _SPEEDS = 3.0
@@ -341,6 +346,7 @@ def entry_doubts(machine: Machine) -> Iterator[str]:
     yield from _mass_diameter(machine)
     yield from _sensors(machine)
     yield from _uneven_blocks(machine)
+    yield from _filter_corners(machine)
     yield from _pressures(machine)
     yield from _discs(machine)
     yield from _balanced_at(machine)
@@ -351,6 +357,23 @@ def entry_doubts(machine: Machine) -> Iterator[str]:
     for _, part in attached(machine):
         if isinstance(part, Stage):
             yield from _stage(machine, part)
+
+
+def _filter_corners(machine: Machine) -> Iterator[str]:
+    """Sections of coefficients whose zeros or poles lie where no filter has its corner."""
+    for channel in machine.controller.channels if machine.controller else ():
+        for k, section in enumerate(channel.sections, 1):
+            for key in ("numerator", "denominator"):
+                # of a polynomial in s its roots [rad/s]; those at zero integrate or differentiate
+                corners = np.abs(np.roots(getattr(section, key) or ()))
+                far = corners[(corners > 0) & ((corners < _SLOW) | (corners > _QUICK))]
+                if far.size:
+                    yield (
+                        f"[[controller.channel]] {', '.join(channel.names)}, section {k}: a root "
+                        f"of its {key} lies at {far[0] / _HERTZ:.3g} Hz, where no filter has a "
+                        "corner; check the order of its coefficients, of s^2, s and 1 with s in "
+                        "rad/s"
+                    )
 
 
 def without_coefficients(machine: Machine) -> Iterator[str]:
@@ -591,8 +614,8 @@ def _pressures(machine: Machine) -> Iterator[str]:
             yield (
                 f'operating point "{point.label}" has {_pressure(point.seal_pressure)} across seal '
                 f"{seal.name}, {point.seal_pressure / reference:.3g} times its reference_pressure, "
-                f"{_pressure(reference)}: its coefficients hardly hold so far away; correct one of "
-                "the two"
+                f"{_pressure(reference)}: its coefficients are not valid so far from it; correct "
+                "one of the two"
             )
 
 
@@ -825,7 +848,7 @@ def insight(plant: Plant) -> dict[str, Any]:
                 *entry_doubts(machine),
                 *_mesh_of_check(bending, errors),
             ],
-            "remarks": ["no magnetic bearings: ambrose lateral analyses the rotor as it stands"],
+            "remarks": ["no magnetic bearings: ambrose lateral analyses the rotor without control"],
         }
     bearings = capacities(machine, properties)
     margin = stiffness_margin(machine)
@@ -1036,7 +1059,7 @@ def _stiffness(machine: Machine, margin: float | None) -> Iterator[str]:
         yield below_stiffness(margin)
     elif margin is not None and margin < _MARGIN:
         yield (
-            f"K_p k_i is only {margin:.3g} times k_s: hardly any stiffness is left; twice k_s/k_i "
+            f"K_p k_i is only {margin:.3g} times k_s: almost no stiffness is left; twice k_s/k_i "
             "is a good gain"
         )
 
@@ -1046,19 +1069,19 @@ def _places(machine: Machine, rotor: Rotor) -> Iterator[str]:
     thick = max(section.outer_diameter for section in machine.shaft)
     if len(places) == 1 and machine.length > _SHORT * thick:
         yield (
-            f"one bearing cannot hold the tilting of a rotor {machine.length:.3g} m long; add a "
+            f"one bearing cannot carry the tilting of a rotor {machine.length:.3g} m long; add a "
             "second with its sensor"
         )
     elif len(places) > 1 and np.ptp(places) < 0.05 * machine.length:
         yield (
-            f"the bearings stand {1e3 * np.ptp(places):.3g} mm apart: nothing holds the rotor's "
-            "tilting; check position"
+            f"the bearings stand {1e3 * np.ptp(places):.3g} mm apart: nothing carries the "
+            "rotor's tilting; check position"
         )
     for bearing, _, frequency, at, measured in _seen(machine, rotor, 1):
         what = f"the first bending mode ({frequency / HERTZ:.4g} Hz)"
         if abs(measured) < _NODE:
             yield (
-                f"the sensor of bearing {bearing} is at a node of {what} and hardly sees it; "
+                f"the sensor of bearing {bearing} is at a node of {what} and barely measures it; "
                 "move it along the shaft"
             )
         elif at * measured < 0 and abs(at) > _NODE:
@@ -1128,8 +1151,8 @@ def _operation(machine: Machine, critical: list[float]) -> Iterator[str]:
     tip = top_speed(machine) * thick / 2
     if tip > 700:
         yield (
-            f"the shaft's surface runs at {tip:,.4g} m/s, which no steel stands; check the unit of "
-            "the speed"
+            f"the shaft's surface runs at {tip:,.4g} m/s, which no steel withstands; check the "
+            "unit of the speed"
         )
 
 
@@ -1142,8 +1165,8 @@ def _timing(
         yield line
     elif least > 0.7 * limit:
         yield (
-            f"{unavoidable_words(least, pole, delay)}: little is left below the {limit:g} that is "
-            "asked; sample faster"
+            f"{unavoidable_words(least, pole, delay)}: the limit of {limit:g} leaves little "
+            "margin; sample faster"
         )
     if timing is not None and timing.rate * HERTZ < 10 * max(top_speed(machine), pole):
         what = f"the {max(top_speed(machine), pole) / HERTZ:.4g} Hz of speed or unstable pole"
@@ -1170,8 +1193,8 @@ def _not_held(machine: Machine) -> Iterator[str]:
             lost.append(point.label)
     if lost:
         yield (
-            f"the [controller] does not hold {', '.join(lost)}: tuned may start from it, method "
-            "pid cannot be used there"
+            f"the [controller] is unstable at {', '.join(lost)}: use method tuned, which may start "
+            "from it, not method pid"
         )
 
 
@@ -1185,7 +1208,8 @@ def _remarks(machine: Machine) -> Iterator[str]:
         yield "no reference controller: method pid needs one, tuned starts from a first guess"
     if machine_timing(machine) is None:
         yield (
-            "no sample_time in [controller]: loops are judged as continuous unless a rate is given"
+            "no sample_time in [controller]: the loop is checked as continuous unless a rate is "
+            "given"
         )
     if machine.gravity_direction is None:
         yield "no gravity_direction: the rotor has no weight on the rig"
@@ -1195,7 +1219,7 @@ def _remarks(machine: Machine) -> Iterator[str]:
             f"no speed_range: it is taken to run from {low * _RPM:,.6g} to {high * _RPM:,.6g} rpm, "
             "as its points turn"
             if high
-            else "no speed_range: nothing is judged between the operating points"
+            else "no speed_range: nothing is checked between the operating points"
         )
     turned = [
         p
@@ -1209,23 +1233,32 @@ def _remarks(machine: Machine) -> Iterator[str]:
             "turns it to the magnets"
         )
     if not machine.tolerances:
-        yield "no [[tolerance]]: what is verified holds for these very numbers"
+        yield "no [[tolerance]]: a verification covers these values alone"
 
 
-def facts(machine: Machine, file: str | None = None) -> dict[str, Any]:
+def facts(machine: Machine, file: str | None = None, axes: str | None = None) -> dict[str, Any]:
     """What `ambrose check` tells about a machine, SI units: mass properties, bending frequencies,
     open-loop poles, sizes.
 
-    file: what a failure is named after; default: the machine. Raises InvalidInput where a point has
+    file: what a failure is named after; default: the machine. axes: the one group of axes (None:
+    all, those of the thrust axis under "thrust"). Raises InvalidInput where a point has
     no model, NumericalFailure where numbers are too far apart, with every part without coefficients
     at an operating point, and every entry that is implausible, its probable cause.
     """
     try:
         # what overflows on the way is no figure
         with np.errstate(over="raise", divide="raise", invalid="raise"):
-            return _facts(machine)
+            known = _facts(machine)
+            for along in [*machine.groups.values()][1:] if axes is None else ():
+                with suppress(InvalidInput):  # which is among the doubts
+                    of_axis = _facts(along)
+                    known["thrust"] = {k: v for k, v in of_axis.items() if k not in _TOLD}
+            return known
     except AmbroseError as error:
         raise type(error)(listed(file or machine.name, _reasons(machine, str(error)))) from error
+
+
+_TOLD = ("doubts", "remarks")  # of the thrust axis, among those of the machine
 
 
 def _reasons(machine: Machine, failure: str) -> list[str]:

@@ -112,7 +112,9 @@ def _instead(chosen: Candidate, lost: Sequence[tuple[Candidate, Stability]]) -> 
     """Why not one that goes before it; "" where there is none."""
     if not lost:
         return ""
-    return f"{chosen.name}, because {_listed(lost)} not hold the machine at {_where(lost[0][1])}"
+    return (
+        f"{chosen.name}, because {_listed(lost)} not stabilise the machine at {_where(lost[0][1])}"
+    )
 
 
 def _none(plant: Plant, lost: Sequence[tuple[Candidate, Stability]]) -> str:
@@ -127,7 +129,8 @@ def _none(plant: Plant, lost: Sequence[tuple[Candidate, Stability]]) -> str:
     else:
         remedy = "design one that holds this loop, or state a shorter [controller] sample_time"
     return (
-        f"nothing to record: {_listed(lost)} not hold the machine at {_where(lost[0][1])}; {remedy}"
+        f"nothing to record: {_listed(lost)} not stabilise the machine at {_where(lost[0][1])}; "
+        f"{remedy}"
     )
 
 
@@ -204,7 +207,7 @@ class Commissioning:
                 2,
                 (
                     "Law read back out of the running code",
-                    f"within {self.apart:.1g} of the design's",
+                    f"matrices within {self.apart:.1g} of the design's",
                 ),
             )
         for box in deployed.box:

@@ -195,7 +195,7 @@ def in_hertz(rate: float, digits: int = 3) -> float:
 
 
 BIAS_FLUX = 0.6  # [T] half of what the iron carries
-NOT_HELD = "NO SUCH PID HOLDS THE MACHINE"
+NOT_HELD = "NO SUCH PID STABILISES THE MACHINE"
 _LOADS = 3.0  # times its share of the weight a bearing carries
 _GRADE = 2.5e-3  # [m/s] balance grade G2.5
 
@@ -409,10 +409,10 @@ def machine_of_rotor(rotor: RotorModel, known: Known | None = None) -> Machine:
     settings, peak = holding_pid(machine)
     k_i, k_s = magnet_coefficients(machine, machine.operation.design)
     reasons["controller"] = (
-        f"K_p = {settings.gain[0] / float((k_s / k_i).max()):.2g} k_s/k_i, T_d by the rigid "
-        "rotor's pace; "
+        f"K_p = {settings.gain[0] / float((k_s / k_i).max()):.2g} k_s/k_i, T_d from the "
+        "unstable rigid-body pole; "
         + (
-            f"holds all points, largest sensitivity {peak:.2g}"
+            f"stable at all points, sensitivity peak {peak:.2g}"
             if peak < math.inf
             else f"{NOT_HELD}, design another"
         )
@@ -551,7 +551,7 @@ def _sensors(
     else at its middle.
     """
     reasons["sensor.position"] = (
-        "beside the bearing, on the side where the lowest two bending modes move both the same way"
+        "next to the bearing, where both lowest bending modes move in the direction of the magnet"
     )
     rotor = finite_element_rotor(bare)
     shapes = free_modes(rotor, 2).shapes

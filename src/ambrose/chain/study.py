@@ -22,8 +22,9 @@ from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.core.presentation import Presented, data_frame, to_plain
 from ambrose.core.processes import can_start_processes, processors, remembering
 from ambrose.judge.checks import Curve, check_columns
+from ambrose.judge.controller_file import write_controller
 from ambrose.judge.plants import Progress, campbell_map, full_plants, plant_gain
-from ambrose.machine.machine import AxialMachine, Machine, in_file, require_magnets
+from ambrose.machine.machine import THRUST, Machine, in_file, require_magnets
 from ambrose.machine.ordinary_file import claimed, make_folder, set_aside, write_json
 from ambrose.model.plant import Plant
 from ambrose.model.uncertainty import not_varied, reduce
@@ -143,24 +144,31 @@ class Study(Presented):
 
 
 def study(
-    machine: Machine, directory: str | Path, progress: Progress = lambda stage: None
+    machine: Machine,
+    directory: str | Path,
+    progress: Progress = lambda stage: None,
+    axes: str | None = None,
 ) -> Study:
     """All stages in order; leaves controller-<method>.json, commissioned/, checks.json and
     report.html in ``directory``, and what annexes add: lateral.json and lateral.html; of a machine
-    with a thrust bearing the same of the axis along its shaft in ``axial`` there.
+    with a thrust bearing the same of the thrust axis in ``axial`` there, and the best of both in
+    controller.json. axes: the one group of axes (None: all).
 
     A report of an earlier run, its checks and its code are called ``earlier-...`` before anything
     is made anew. What cannot be written in the end is told in ``unwritten``, with all results kept.
     Raises InvalidInput for a machine with neither controller settings nor weights, and where
     ``directory`` cannot be written or another run writes it.
     """
+    own, *others = (machine if axes is None else machine.only(axes)).groups.values()
     with claimed(make_folder(directory), "study"):
-        result = _study(machine, Path(directory), progress)
-        if not machine.has_axis:
-            return result
-        progress("the axis along the shaft")
-        beside = make_folder(Path(directory) / "axial")
-        return replace(result, axial=_study(machine.axial, beside, progress))
+        result = _study(own, Path(directory), progress)
+        for along in others if axes is None else ():
+            progress("the thrust axis")
+            found = _study(along, make_folder(Path(directory) / "axial"), progress)
+            both = replace(result.best.synthesis, thrust=found.best.synthesis)
+            write_controller(Path(directory) / "controller.json", both, machine)
+            result = replace(result, axial=found)
+        return result
 
 
 def _study(machine: Machine, directory: Path, progress: Progress) -> Study:
@@ -189,7 +197,7 @@ def _study(machine: Machine, directory: Path, progress: Progress) -> Study:
         except InvalidInput as error:
             unwritten.append(str(error))
     failed = list(result.failed)
-    beside = {} if isinstance(machine, AxialMachine) else registered("study file")
+    beside = {} if machine.group == THRUST else registered("study file")
     for name, place in beside.items():
         try:
             resolve(place)(machine, result.best.synthesis, directory, progress)
@@ -259,7 +267,7 @@ def _candidates(plants: tuple[Plant, ...], directory: Path, progress: Progress) 
         try:
             made, meanwhile = _side_by_side(groups, workers, plants, directory, progress)
         except BrokenProcessPool:
-            progress("a process beside this one died (short of memory?): going on in this one")
+            progress("a worker process died (short of memory?): going on in this one")
     if not made:
         for group in groups:
             made |= _group_made(group, plants, directory, progress)

@@ -91,7 +91,7 @@ class AmbroseCommand(click.Group):
         given = sys.argv[1:] if args is None else args
         as_json = "--json" in given
         if any("\0" in str(word) for word in given):  # of a program that calls this command
-            stop("an argument holds a null character; leave it out", as_json=as_json)
+            stop("an argument contains a null character; leave it out", as_json=as_json)
         with streams_settled(), _no_path_of_the_source():
             try:
                 status = super().main(args, prog_name, standalone_mode=False, **extra)

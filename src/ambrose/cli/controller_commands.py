@@ -17,6 +17,7 @@ from ambrose.synthesis.methods import methods
 from ambrose.terminal import (
     ALL,
     AS_JSON,
+    AXES,
     MACHINE,
     GroupedCommand,
     asked_for,
@@ -27,6 +28,8 @@ from ambrose.terminal import (
     kept_page,
     load,
     load_controller,
+    narrowed,
+    noted_part,
     one_screen,
     options_from,
     print_checks,
@@ -40,6 +43,7 @@ from ambrose.terminal import (
 
 if TYPE_CHECKING:
     from ambrose.judge.checks import Verification
+    from ambrose.judge.result import Synthesis
 
 # `ambrose synthesize`.
 
@@ -85,7 +89,7 @@ _APART = 1.5  # times: continuous and sampled peaks that differ by more are expl
     "--machine-file",
     type=click.Path(path_type=Path),
     default=None,
-    help="With --structure pid or filters: write the machine with the filters found as its "
+    help="With --structure pid or filters: write the machine with the radial filters found as its "
     "[controller].",
 )
 @AS_JSON
@@ -98,26 +102,26 @@ def synthesize(
     as_json: bool,
     **asked: Any,
 ) -> None:
-    """Design a controller on the reduced plant and certify it on the full one.
+    """Design a controller on the reduced plant and certify it on the full one; of a machine with a
+    thrust bearing both groups of axes, in one file.
 
     With --method tuned, the default, for the whole envelope: all operating points and the
     tolerances around each; the other methods design for one operating point (--point), lpv for a
     range of speeds, of seal pressures or both. Exit status 1: an operating point of the machine is
     not stable (with --point: that one), or a requirement of the design is not met.
     """
-    from ambrose.api import assemble, design_with_block
+    from ambrose.api import assemble, design_thrust, design_with_block
     from ambrose.core.checks import invalid
     from ambrose.judge.controller_file import write_controller
-    from ambrose.judge.result import Status
-    from ambrose.law.pid import filter_rows
     from ambrose.machine.file.update import save_machine
+    from ambrose.machine.machine import THRUST
     from ambrose.synthesis.design import another_point
     from ambrose.synthesis.synchronous_design import check_request, in_words
 
     beside = {item.name: asked.pop(item.name) for item in fields(Rejecting)}
     block_options = asked_for(Rejecting, beside)
     chosen = chosen_from(METHODS, method, asked, _METHOD_OPTION)
-    description = load(machine)
+    description = load(machine, part=False)
     on_machine = chosen.on(description)  # refuses before the design, which takes a while
     check_request(block_options, method, description)
     if machine_file is not None and getattr(chosen, "structure", None) not in {"pid", "filters"}:
@@ -127,10 +131,17 @@ def synthesize(
             "given with a filter bank",
             "add --method tuned --structure pid",
         )
+    if machine_file is not None and description.group == THRUST:
+        remedy = "its filters stand in the controller file"
+        raise invalid("--machine-file", str(machine_file), "left out for the thrust axis", remedy)
     claim(controller_file=output, machine_file=machine_file)
     # a peak names the point it is of: the worst one, which verify finds, is another
-    where, plant = "", None
+    where, plant, thrust = "", None, None
     with progress_shown(as_json) as progress:
+        if narrowed() is None and block_options.base is None:
+            for along in [*description.groups.values()][1:]:
+                progress(f"designing the thrust axis ({method})")
+                thrust = design_thrust(along, chosen, point, progress)
         if block_options.base is None:
             progress("assembling the plant")
             plant = assemble(description, point)
@@ -143,8 +154,9 @@ def synthesize(
             plant or description, chosen, block_options, progress=progress
         )
         if plant is not None and result.method == "hinf" and point is None and result.lost:
-            progress("looking for a point whose design holds all")
+            progress("searching for a point whose design is stable at all points")
             result = replace(result, notes=(*result.notes, another_point(plant, chosen)))
+        result = replace(result, thrust=result.thrust if thrust is None else thrust)
     failure = kept(lambda path: write_controller(path, result), output)
     if machine_file is not None and result.filters is not None:
         timing = on_machine.timing()
@@ -167,50 +179,17 @@ def synthesize(
         )
         with_filters = replace(description, controller=settings, assumed=reasons)
         failure = kept(lambda path: save_machine(with_filters, path), machine_file) or failure
-    certificate = result.certificate.to_dict()
-    factor = None if result.weights is None else result.weights.control_factor
+    groups = [result] if result.thrust is None else [result, result.thrust]
     if as_json:
-        summary = {
-            "controller": str(output),
-            "method": method,
-            "status": result.status,
-            "stopped_early": result.stopped_early,
-            "states": result.controller.n_states,
-            "control_weight_factor": factor,
-            "notes": result.notes,
-            "certificate": certificate,
-            "filters": None if result.filters is None else result.filters.to_dict(),
-        }
+        first, *others = (_summary(part, method) for part in groups)
+        summary = {"controller": str(output), **first}
         if block is not None:
             summary["synchronous"] = block.to_dict()
-        say_json(summary)
+        say_json(summary | ({"thrust": others[0]} if others else {}))
     else:
-        rows = [("states", f"{result.controller.n_states}")]
-        numbers = _numbers(certificate)
-        if method != "pid":  # which minimises nothing
-            numbers = {"gamma": result.gamma, **numbers}
-        rows += [
-            (name.replace("_", " ") + (where if name.endswith("_peak") else ""), shown(value))
-            for name, value in numbers.items()
-        ]
-        rows += [
-            (f"abscissa, {label}", shown(value)) for label, value in certificate["envelope"].items()
-        ]
-        if factor is not None:
-            rows.append(("control weight factor", shown(factor)))
-        rows += [("note", note) for note in (*result.notes, *_beside(numbers))]
-        early = "STOPPED EARLY: " if result.stopped_early else ""
-        print_table(
-            f"{method} controller, {early}{result.verdict}: {output}",
-            ("certificate", "value"),
-            rows,
-        )
-        if result.filters is not None and result.filters.channels:
-            print_table(
-                "filters, each channel in series",
-                ("channel", "filter", "parameters"),
-                filter_rows(result.filters),
-            )
+        for part in groups:
+            which = f"thrust axis, {method}" if part is result.thrust else method
+            _say_controller(part, which, where, output)
         if block is not None:
             lines = [
                 ("time constant", f"{2 / block.gain:.4g} s"),
@@ -225,10 +204,60 @@ def synthesize(
             print_table(f"synchronous block, {block.mode}", ("block", "value"), lines)
     if failure is not None:
         raise failure
-    # of one point that was asked for, the others are told only
-    holds = result.status is Status.VERIFIED and (point is not None or not result.lost)
-    missed = result.missed and not (point is not None and result.lost_elsewhere)
-    sys.exit(0 if holds and not missed else 1)
+    sys.exit(0 if all(_held(part, point) for part in groups) else 1)
+
+
+def _held(result: Synthesis, point: str | None) -> bool:
+    """Whether a design does what it is for; of one point that was asked for, the others are told
+    only.
+    """
+    holds = result.status == "verified" and (point is not None or not result.lost)
+    return holds and not (result.missed and not (point is not None and result.lost_elsewhere))
+
+
+def _summary(result: Synthesis, method: str) -> dict[str, Any]:
+    """What --json prints of one controller."""
+    return {
+        "method": method,
+        "status": result.status,
+        "stopped_early": result.stopped_early,
+        "states": result.controller.n_states,
+        "control_weight_factor": None if result.weights is None else result.weights.control_factor,
+        "notes": result.notes,
+        "certificate": result.certificate.to_dict(),
+        "filters": None if result.filters is None else result.filters.to_dict(),
+    }
+
+
+def _say_controller(result: Synthesis, method: str, where: str, output: Path) -> None:
+    """The table of one controller's certificate, and its filters."""
+    from ambrose.law.pid import filter_rows
+
+    certificate = result.certificate.to_dict()
+    rows = [("states", f"{result.controller.n_states}")]
+    numbers = _numbers(certificate)
+    if result.method != "pid":  # which minimises nothing
+        numbers = {"gamma": result.gamma, **numbers}
+    rows += [
+        (name.replace("_", " ") + (where if name.endswith("_peak") else ""), shown(value))
+        for name, value in numbers.items()
+    ]
+    rows += [
+        (f"abscissa, {label}", shown(value)) for label, value in certificate["envelope"].items()
+    ]
+    if result.weights is not None:
+        rows.append(("control weight factor", shown(result.weights.control_factor)))
+    rows += [("note", note) for note in (*result.notes, *_beside(numbers))]
+    early = "STOPPED EARLY: " if result.stopped_early else ""
+    print_table(
+        f"{method} controller, {early}{result.verdict}: {output}", ("certificate", "value"), rows
+    )
+    if result.filters is not None and result.filters.channels:
+        print_table(
+            "filters, each channel in series",
+            ("channel", "filter", "parameters"),
+            filter_rows(result.filters),
+        )
 
 
 def _beside(numbers: dict[str, Any]) -> list[str]:
@@ -239,7 +268,7 @@ def _beside(numbers: dict[str, Any]) -> list[str]:
     as_run = numbers.get("sampled_sensitivity_peak")
     if without is None or as_run is None:
         return []
-    words = "continuous: the law without its sampling, hold and delay, which no loop runs"
+    words = "continuous: the law without sampling, hold and delay, as no loop runs"
     apart = max(without / as_run, as_run / without)
     if apart > _APART:
         words += (
@@ -378,7 +407,7 @@ def trade_off(
 
 
 _GROUPS = {
-    "": ("path", "axial", "everywhere", "report", "everything"),
+    "": ("path", "axial", "axes", "everywhere", "report", "everything"),
     "On measured responses": ("measured", "running"),
     "The loop as it runs": ("rate", "delay_samples"),
     "Proofs while the machine moves": ("pressure_rate", "pressure_error", "speed_rate"),
@@ -392,8 +421,8 @@ _GROUPS = {
     "--controller",
     "path",
     type=click.Path(path_type=Path),
-    required=True,
-    help="The controller: its file, or a table of coefficients (*.csv, *.json, *.mat).",
+    help="The controller: its file, or a table of coefficients (*.csv, *.json, *.mat); default: "
+    "the machine file's PID.",
 )
 @options_from(Verifying)
 @click.option(
@@ -427,7 +456,7 @@ _GROUPS = {
 @AS_JSON
 def verify(
     machine: str,
-    path: Path,
+    path: Path | None,
     measured: tuple[Path, ...],
     running: Path | None,
     report: Path | None,
@@ -437,7 +466,7 @@ def verify(
     **asked: Any,
 ) -> None:
     """Check a controller on the full plant: at every operating point of the machine, and over all
-    tolerances around each; or on the plant as measured.
+    tolerances around each; or on the plant as measured. With a thrust bearing all five axes.
     """
     from ambrose.api import verify as verified
     from ambrose.core.checks import invalid
@@ -445,9 +474,10 @@ def verify(
 
     options = asked_for(Verifying, asked)
     description = load(machine, part=False)
-    controller = load_controller(path, description)
+    controller = None if path is None else load_controller(path, description)
     if asked["axial"] is not None:
         options = replace(options, axial=load_controller(asked["axial"], description.axial))
+    options = replace(options, axes=narrowed())
     fastest = options.pressure_rate or description.operation.pressure_rate
     if options.pressure_error and fastest is None:
         raise invalid(
@@ -458,7 +488,9 @@ def verify(
         )
     if page is not None:
         settings = description.controller
-        if not controller.synchronous and not (settings is not None and settings.synchronous):
+        if (controller is None or not controller.synchronous) and not (
+            settings is not None and settings.synchronous
+        ):
             remedy = "design one with ambrose synthesize --synchronous current-free"
             raise invalid(
                 "--page", str(page), "given for a controller with a synchronous block", remedy
@@ -483,7 +515,10 @@ def verify(
             description, result.synchronous, loop=result.timing, controller=result.controller
         )
         failure = kept(lambda path: write(blocks, path), page)
-    failure = kept_page(result, report, description, called="report") or failure
+    named = (
+        result if path is None else replace(result, controller=f"{path.name}, {result.controller}")
+    )
+    failure = kept_page(named, report, description, called="report") or failure
     if as_json:
         say_json({"machine": description.name, **result.to_dict()})
     else:
@@ -557,7 +592,7 @@ def _say_in_full(result: Verification, unproved: Sequence[str], everything: bool
             "the schedule does not cover them, in what it is scheduled over or in what it was "
             "designed at"
         )
-        say(f"Not judged, which does not pass: {'; '.join(result.left_out)}; {why}.")
+        say(f"Not checked, which does not pass: {'; '.join(result.left_out)}; {why}.")
 
 
 # `ambrose map`.
@@ -653,7 +688,10 @@ def map_command(
 
 _WORD = "--to"
 _GROUPS_EXPORT = {
-    "": ("target", "output", "machine", "axial", "replaces", "name", "arithmetic", "rate", "force"),
+    "": (
+        *("target", "output", "machine", "axial", "axes", "replaces", "name", "arithmetic", "rate"),
+        "force",
+    ),
     "Scheduled controllers": (
         "speed_limit",
         "speed_rate",
@@ -699,8 +737,10 @@ _GROUPS_EXPORT = {
 @click.option(
     "--axial",
     type=click.Path(path_type=Path),
-    help="The controller of machine.toml#axial: both as one unit of all axes (C, FMU).",
+    help="The controller of the thrust axis, default: that of the file; both as one unit of all "
+    "axes (C, FMU) or as two.",
 )
+@AXES
 @click.option(
     "--replaces",
     type=click.Path(path_type=Path),
@@ -726,10 +766,19 @@ def export(
     from ambrose.api import export as exported
 
     chosen = chosen_from(TARGETS, target, asked, _WORD)
-    known = None if machine is None else load(machine)
-    laws = {"fallback": fallback, "replaces": replaces, "axial": axial}
+    known = None if machine is None else load(machine, part=False)
+    laws: dict[str, Any] = {"fallback": fallback, "replaces": replaces, "axial": axial}
     with progress_shown(as_json) as progress:
-        delivery = exported(controller, output, to=chosen, machine=known, progress=progress, **laws)
+        delivery = exported(
+            *(controller, output),
+            to=chosen,
+            machine=known,
+            axes=narrowed(),
+            progress=progress,
+            **laws,
+        )
+    if delivery.axial is None and narrowed() is None and known is not None:
+        noted_part(known)
     content = delivery.to_dict()
     if as_json:
         say_json(content)
@@ -742,6 +791,8 @@ def export(
             say(f"no parameters.json: {delivery.not_alike}", err=True)
         if delivery.trial is not None:
             say(f"{delivery.trial.processor.name}: {delivery.trial.text}", err=True)
+        if delivery.apart:
+            say(f"two units, the second of the thrust axis: {delivery.apart}", err=True)
         for path in content["files"]:
             say(path)
     sys.exit(0 if content["verified"] and not content["unmet_limits"] else 1)

@@ -16,6 +16,7 @@ from ambrose.terminal import (
     MACHINE,
     claim,
     load,
+    narrowed,
     print_table,
     progress_shown,
     say,
@@ -77,7 +78,7 @@ def check(machine: str, as_json: bool) -> None:
     """
     from ambrose.chain.check import facts, rows_of
 
-    known = facts(load(machine, magnets=False), machine)
+    known = facts(load(machine, magnets=False, part=False), machine, narrowed())
     if as_json:
         say_json(known)
     else:
@@ -243,7 +244,7 @@ def _asked(given: dict[str, Any]) -> dict[str, Any]:
             break
         discs.append(answer)
     if not given["vertical"]:
-        answers["vertical"] = click.confirm("Does the rotor stand upright", default=False, err=True)
+        answers["vertical"] = click.confirm("Is the rotor vertical", default=False, err=True)
     return {**answers, "discs": discs}
 
 

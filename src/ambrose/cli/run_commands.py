@@ -22,6 +22,7 @@ from ambrose.terminal import (
     kept_page,
     load,
     load_controller,
+    narrowed,
     options_from,
     print_checks,
     print_table,
@@ -39,8 +40,10 @@ if TYPE_CHECKING:
 
 _GROUPS = {
     "": ("path", "scenario", "point", "output", "report"),
-    "The run": ("axial", "linear", "rate", "delay_samples", "bending_modes", "seed", "second"),
-    "A fallback beside a controller scheduled over pressure": (
+    "The run": (
+        *("axial", "axes", "linear", "rate", "delay_samples", "bending_modes", "seed", "second"),
+    ),
+    "A fallback for a controller scheduled over pressure": (
         "fallback",
         "pressure_rate",
         "pressure_error",
@@ -83,8 +86,8 @@ class OnTarget(Simulating):
     "--controller",
     "path",
     type=click.Path(path_type=Path),
-    required=True,
-    help="The controller: its file, or a table of coefficients (*.csv, *.json, *.mat).",
+    help="The controller: its file, or a table of coefficients (*.csv, *.json, *.mat); default: "
+    "the machine file's PID.",
 )
 @click.option(
     "--scenario", required=True, help="A scenario file (*.toml) or the name of a bundled scenario."
@@ -104,7 +107,7 @@ class OnTarget(Simulating):
 @AS_JSON
 def simulate(
     machine: str,
-    path: Path,
+    path: Path | None,
     scenario: str,
     point: str | None,
     report: Path | None,
@@ -118,6 +121,7 @@ def simulate(
     run is interrupted.
     """
     from ambrose.api import simulate as run
+    from ambrose.judge.result import machine_pid
     from ambrose.law.loop import DEFAULT, timing_in_words, timing_of
     from ambrose.record.files import check_suffix, write_record
     from ambrose.report.record import REACHED, run_result
@@ -125,12 +129,12 @@ def simulate(
     chosen = asked_for(OnTarget, asked)
     options = chosen.values()
     target, words = options.pop("on_target"), options.pop("arithmetic")
-    description = load(machine)
-    controller = load_controller(path, description)
+    description = load(machine, part=False)
+    controller = machine_pid(description) if path is None else load_controller(path, description)
     check_suffix(output)
     claim(record=output, report=report)
     growing = not chosen.linear and output.suffix.lower() != ".csv"
-    options |= {"point": point, "path": output if growing else None}
+    options |= {"axes": narrowed(), "point": point, "path": output if growing else None}
     for name in ("second", "axial", "fallback"):
         if options[name] is not None:
             place = description.axial if name == "axial" else description
@@ -201,10 +205,10 @@ def study_command(machine: str, output: Path | None, everything: bool, as_json: 
     from ambrose.report.tables import verdict
     from ambrose.synthesis.methods import methods
 
-    description = load(machine)
+    description = load(machine, part=False)
     directory = output or Path(f"study-{file_name(description.name)}")
     with progress_shown(as_json) as progress:
-        result = study(description, directory, progress=progress)
+        result = study(description, directory, axes=narrowed(), progress=progress)
     report = None if result.unwritten else directory / "report.html"
     if as_json:
         say_json({**result.to_dict(), "report": report and str(report)})

@@ -49,7 +49,7 @@ from ambrose.law.loop import DEFAULT, Timing, check_side, match_axes, timing_of
 from ambrose.law.supervision import check_pair, supervision_limits
 from ambrose.law.synchronous import check_blocks, running_law, synchronous_loop
 from ambrose.machine.file.toml import bundled_machines, load_machine, machine_hash
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import THRUST, AxialMachine, Machine
 from ambrose.machine.ordinary_file import check_place, claimed, write_files
 from ambrose.machine.part import Synchronous
 from ambrose.model.assemble import assemble
@@ -206,27 +206,20 @@ class AxialPart:
     block: ControlBlock
 
 
-def axial_target(target: Target, machine: Machine | None, timing: Timing | None) -> C | Fmu:
+def axial_target(target: Target, machine: Machine | None, timing: Timing | None) -> Target:
     """How the axial part is written: as the radial one, under its own name.
 
-    timing: the axial controller's own, None where it states none. Raises InvalidInput for another
-    target than C and FMU, a machine without a thrust bearing, and what is tried part by part.
+    timing: the axial controller's own, None where it states none. Raises InvalidInput for a machine
+    without a thrust bearing, and what is tried part by part.
     """
-    from ambrose.code.targets import C, Fmu
+    from ambrose.code.targets import C
 
-    if not isinstance(target, C | Fmu):
-        raise invalid(
-            "an axial controller together with the radial one",
-            f"given for the target {target.to!r}",
-            "left out",
-            "write C or an FMU, or write each controller by itself",
-        )
     if isinstance(target, C) and (target.try_on is not None or target.bare_metal):
         raise InvalidInput(
             "a unit of all axes is not tried on a processor as a whole; export each controller by "
-            "itself with --try-on or --bare-metal, then both together without"
+            "itself with --try-on or --bare-metal (--axes radial, --axes thrust), then both without"
         )
-    if machine is None or not machine.has_axis:
+    if machine is None or THRUST not in machine.groups:
         raise InvalidInput(
             "the machine has no thrust bearing; name its file with --machine, without #axial, or "
             "leave the axial controller out"
@@ -250,7 +243,7 @@ class Delivery(Presented):
     controller that takes over; synchronous: of the blocks beside it; trial: on its processor.
     difference: what leads from the code of a replaced controller to this one (None: none was
     named); not_alike: why there is none although one was. axial: the part along the shaft of a unit
-    of all axes.
+    of all axes; apart: why it is a unit of its own ("": it is not).
     """
 
     target: str
@@ -263,6 +256,7 @@ class Delivery(Presented):
     not_alike: str = ""
     trial: Trial | None = None
     axial: AxialPart | None = None
+    apart: str = ""
 
     @property
     def _parts(self) -> list[tuple[str, Deployment]]:
@@ -322,6 +316,7 @@ class Delivery(Presented):
             "problems": problems,
             "unmet_limits": list(self.unmet_limits),
             **({"not_alike": self.not_alike} if self.not_alike else {}),
+            **({"two_units": self.apart} if self.apart else {}),
             **({} if self.trial is None else {"trial": self.trial.to_dict()}),
         }
 
@@ -335,6 +330,7 @@ def export(
     fallback: LawLike | None = None,
     replaces: LawLike | None = None,
     axial: LawLike | None = None,
+    axes: str | None = None,
     progress: Progress = lambda stage: None,
     **options: Any,
 ) -> Delivery:
@@ -350,12 +346,19 @@ def export(
     one scheduled over pressure where the reading cannot be trusted (C only). replaces: the fixed
     controller that runs now (C only): beside the whole unit parameters.json, what changes in the
     tables of its code, and parameters-back.json, the way back, where both have one structure.
-    axial: the fixed controller of the machine's axis along the shaft (C and FMU): both as one unit
-    whose step takes the errors of all axes.
+    axial: the fixed controller of the thrust axis (None: that of ``controller``): in C and FMU both
+    are one unit whose step takes the errors of all axes, elsewhere two. axes: the one group of axes
+    that is written (None: all whose controllers are given).
     Raises InvalidInput, and UnstableSystem for a controller that is refused (``deploy``).
     """
     target = choose(TARGETS, "the target", to, options)
-    synthesis = _synthesis(controller, machine)
+    machine = machine if machine is None or axes is None else machine.only(axes)
+    given = law_of(controller)
+    if axes == THRUST or (machine is not None and machine.group == THRUST):
+        given = given.thrust or given
+    elif axes is None and axial is None:
+        axial = given.thrust
+    synthesis = _synthesis(given, machine)
     _check_target(synthesis, target)
     machine = bundled_machine(synthesis) if machine is None else machine
     if machine is not None and axial is None:
@@ -400,8 +403,12 @@ def export(
         shaft: Sequence[str] = ()
         if along is not None and machine is not None:
             part, shaft = _axial_part(*along, machine.axial, block, progress)
-        unit = law if part is None else AllAxes(law, part.block)
+        apart = "" if part is None else target.apart
+        unit = law if part is None or apart else AllAxes(law, part.block)
         files = target.files(unit, lines, shaft, (synthesis, deployment))
+        if part is not None and along is not None and apart:
+            made = along[0], part.deployment
+            files = {**files, **along[1].files(part.block, shaft, (), made)}
         difference, not_alike = None, ""
         if running is not None:
             # its loop is not judged again: it runs
@@ -424,7 +431,9 @@ def export(
         progress("writing")
         paths = tuple(write_files(directory, files, held=True))
         return Delivery(
-            target.to, deployment, block, paths, beside, judged, difference, not_alike, trial, part
+            *(target.to, deployment, block, paths, beside, judged, difference, not_alike, trial),
+            axial=part,
+            apart=apart,
         )
 
 
@@ -501,16 +510,16 @@ def _fallback(
 
 def _along(
     axial: LawLike, synthesis: Synthesis, target: Target, machine: Machine | None
-) -> tuple[Synthesis, C | Fmu]:
+) -> tuple[Synthesis, Target]:
     """The axial controller and how it is written. Raises InvalidInput before anything is
     computed.
     """
-    if isinstance(machine, AxialMachine):
+    if machine is not None and machine.group == THRUST:
         raise InvalidInput(
             "the axial controller is exported together with the radial one; name the radial "
             "controller first, and the machine without #axial"
         )
-    known = machine.axial if machine is not None and machine.has_axis else None
+    known = None if machine is None else machine.groups.get(THRUST)
     found = _synthesis(axial, known)
     if found.scheduled is not None or len(found.controller.inputs) != 1:
         raise invalid(
@@ -519,7 +528,7 @@ def _along(
             if found.scheduled is None
             else "a schedule",
             "a fixed one of the one axis along the shaft",
-            "give the file that was designed for machine.toml#axial",
+            "give the file that was designed with --axes thrust",
         )
     own = timing_of(machine, synthesis, target.rate, target.delay_samples) or DEFAULT
     same = replace(target, rate=own.rate, delay_samples=own.delay_samples)
@@ -528,7 +537,7 @@ def _along(
 
 def _axial_part(
     synthesis: Synthesis,
-    target: C | Fmu,
+    target: Target,
     machine: Machine,
     radial: ControlBlock | ScheduledBlock,
     progress: Progress,
@@ -772,8 +781,8 @@ def _limits(
 def _known(value: ArrayLike | None, what: str, unit: str) -> ArrayLike:
     if value is None:
         remedy = (
-            "name the machine file, --machine my.toml (no bundled machine is the one it was made "
-            "for), or state it"
+            "state it, or name the machine file (--machine my.toml); the controller was made for "
+            "none of the bundled machines"
         )
         raise invalid(what, "unknown", f"given in {unit}", remedy)
     return value

@@ -56,6 +56,7 @@ class Target(AsItRuns, ABC):
     """
 
     to: ClassVar[str]
+    apart: ClassVar[str] = ""  # why the thrust axis is a unit of its own
     beside: ClassVar[str] = ""  # why it holds no synchronous blocks
     name: str = option(
         "controller", "Prefix of every name in the code, a C identifier.", check=_identifier
@@ -211,7 +212,8 @@ class Mat(Target):
     """A MAT-file for MATLAB and Octave, in double precision."""
 
     to: ClassVar[str] = "mat"
-    beside: ClassVar[str] = "a MAT-file holds the linear law alone"
+    apart: ClassVar[str] = "a MAT-file contains one law"
+    beside: ClassVar[str] = "a MAT-file contains the linear law alone"
 
     def files(
         self,
@@ -255,6 +257,7 @@ class St(Target):
     """Structured text, IEC 61131-3. arithmetic: of the code."""
 
     to: ClassVar[str] = "st"
+    apart: ClassVar[str] = "a function block holds one group of axes"
 
     arithmetic: Precision = option("double", "Numbers of the code.", choices=WORDS[:2])
 

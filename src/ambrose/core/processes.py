@@ -179,7 +179,7 @@ def _libraries() -> Any:
 #         same = recalled("plant", (machine, point), lambda: assemble(machine, point))
 #
 # Outside of ``remembering`` nothing is kept. What is kept is shared by all who ask for it: results
-# that nobody changes (rule 2 of docs/design.md).
+# that nobody changes (rule 2 of docs/research/design.md).
 
 
 Result = TypeVar("Result")

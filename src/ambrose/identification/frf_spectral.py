@@ -416,7 +416,7 @@ def _inverse(S: np.ndarray, omega: np.ndarray, names: tuple[str, ...]) -> np.nda
             if part > 0.1
         ]
         raise InvalidInput(
-            f"the excitations {', '.join(together)} are alike at {omega[worst]:.4g} rad/s, so "
+            f"the excitations {', '.join(together)} are the same at {omega[worst]:.4g} rad/s, so "
             "their responses cannot be separated; add a record with another pattern (parallel "
             "and tilt, or each axis alone), or "
             "take fewer inputs"

@@ -148,7 +148,7 @@ def identify_loop(
             and (result is None or _unsure(result, records[0].dt))
         ):
             progress(
-                "the delay cannot be told; u follows the controller after "
+                "the delay cannot be identified; u follows the controller after "
                 f"{measured_delay} samples: taken as its delay"
             )
             paths = [path for path in paths if path != CONTROLLER_DELAY]

@@ -168,12 +168,12 @@ def _check_responses(source: Any, machine: Machine | None) -> RecordCheck:
     good = bool(axes) and not missing and not other
     uses = (
         Use(
-            "the machine's parameters",
-            "identify",
+            "the machine's parameters and its loop",
+            "identify, accept, retune, verify --measured",
             good,
             "with the controller that ran" if good else lacking,
         ),
-        Use("anything else", "frf, accept, retune", False, "they take records in time"),
+        Use("the responses themselves", "frf", False, "it makes them, of records in time"),
     )
     return RecordCheck(name, contents, tuple(point_findings(machine, response)), uses)
 

@@ -362,8 +362,9 @@ class Verification(Presented):
     10000 Hz, ...". not_varied: tolerances of the machine file that do not hold around a point, with
     the reason (the file's ``around``, or a nominal value of zero). over_speed: the points beyond
     the machine's own top speed, in words. between: what was checked between the points' speeds, in
-    words. controller: which one, with its digest. not_judged: the axes of the machine that nothing
-    here is about.
+    words. controller: which one, with its digest. not_judged: the axes that were asked for and have
+    no controller; a verification that lacks one is not passed. axes: the groups of axes judged, of
+    a machine that has several.
     """
 
     _DATA: ClassVar = (
@@ -380,6 +381,7 @@ class Verification(Presented):
         "between",
         "controller",
         "not_judged",
+        "axes",
     )
 
     points: tuple[Checks, ...]
@@ -394,6 +396,7 @@ class Verification(Presented):
     controller: str = ""
     between: str = ""
     not_judged: tuple[str, ...] = ()
+    axes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_types(type(self).__post_init__, (self,), {})
@@ -422,10 +425,13 @@ class Verification(Presented):
 
     @property
     def passed(self) -> bool:
-        """Whether every loop is stable, every limit is met and no operating point was left out."""
+        """Whether every loop is stable, every limit is met and no operating point or axis was left
+        out.
+        """
         return (
             bool(self.points)
             and not self.left_out
+            and not self.not_judged
             and all(checks.passed for _, checks in self.labelled)
         )
 
@@ -472,7 +478,6 @@ class Verification(Presented):
             not_varied=(*self.not_varied, *(f"{THRUST}{words}" for words in thrust.not_varied)),
             timing=timing,
             controller=f"{self.controller}; thrust axis: {thrust.controller}",
-            not_judged=(),
         )
 
     def __getitem__(self, label: str) -> Checks:

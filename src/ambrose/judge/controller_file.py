@@ -51,7 +51,7 @@ from ambrose.law.filter_table import (
 from ambrose.law.law import LawLike, scheduling_named
 from ambrose.machine.file.tables import table_of
 from ambrose.machine.file.toml import machine_hash, read_table
-from ambrose.machine.machine import Machine
+from ambrose.machine.machine import THRUST, Machine
 from ambrose.machine.ordinary_file import (
     CONTROLLER_BYTES,
     CONTROLLER_NUMBERS,
@@ -198,13 +198,9 @@ class ProvenanceTable(_Table):
     )
 
 
-class ControllerTable(_Table):
-    """A controller from displacement errors to control currents, with its certificate; made by
-    `ambrose synthesize`.
-    """
+class GroupTable(_Table):
+    """A controller of one group of axes, with its certificate."""
 
-    format: Literal["ambrose-controller"]
-    version: Literal[3]
     method: Text
     status: Annotated[Status, Field(strict=False)]
     stopped_early: Text | None = Field(description="why the iteration ended before its end")
@@ -234,6 +230,18 @@ class ControllerTable(_Table):
     )
 
 
+class ControllerTable(GroupTable):
+    """A controller from displacement errors to control currents, with its certificate; made by
+    `ambrose synthesize`.
+    """
+
+    format: Literal["ambrose-controller"]
+    version: Literal[3]
+    thrust: GroupTable | None = Field(
+        default=None, description="the controller of the thrust axis, beside the radial axes"
+    )
+
+
 def controller_schema() -> dict[str, Any]:
     """The JSON schema (draft 2020-12) of controller files."""
 
@@ -259,8 +267,9 @@ def write_controller(
     all. Returns the path.
 
     The controller's inputs are err_<axis> [m] and its outputs u_<axis> [A]. machine: recorded by
-    name and hash; None: the one of the synthesis. date: None: that of the synthesis, else now.
-    Raises InvalidInput for other signals or a path that cannot be written.
+    name and hash, of the thrust axis that of this axis; None: the one of the synthesis. date: None:
+    that of the synthesis, else now. Raises InvalidInput for other signals or a path that cannot be
+    written.
     """
     path = check_path(path, "controller file")
     return write_text(path, controller_text(result, machine, date), "controller file")
@@ -272,24 +281,30 @@ def controller_text(
     date: datetime | None = None,
 ) -> str:
     """What ``write_controller`` writes. Raises InvalidInput."""
-    synthesis = synthesis_of(result)
-    provenance_now = synthesis.provenance
+    content = _recorded(synthesis_of(result), machine, date).to_dict()
+    for part in (content, content["thrust"]) if "thrust" in content else (content,):
+        part |= {side: _signals(part[side], side) for side in _UNITS}
+    return _layout({"format": FORMAT, "version": VERSION, **content})
+
+
+def _recorded(synthesis: Synthesis, machine: Machine | None, date: datetime | None) -> Synthesis:
+    """With machine, date and digest, of the thrust axis as well."""
+    if synthesis.thrust is not None:
+        along = None if machine is None else machine.only(THRUST)
+        synthesis = replace(synthesis, thrust=_recorded(synthesis.thrust, along, date))
+    origin = synthesis.provenance
     if machine is not None:
-        provenance_now = replace(
-            provenance_now,
+        origin = replace(
+            origin,
             package_version=__version__,
             machine=machine.name,
             machine_hash=machine_hash(machine),
         )
-    if date is not None or not provenance_now.date:
-        provenance_now = replace(
-            provenance_now,
-            date=(date or datetime.now(UTC)).astimezone(UTC).isoformat(timespec="seconds"),
-        )
-    written = replace(synthesis, provenance=provenance_now)
-    content = replace(written, provenance=replace(provenance_now, digest=written.digest)).to_dict()
-    signals = {side: _signals(content[side], side) for side in _UNITS}
-    return _layout({"format": FORMAT, "version": VERSION, **content, **signals})
+    if date is not None or not origin.date:
+        when = (date or datetime.now(UTC)).astimezone(UTC).isoformat(timespec="seconds")
+        origin = replace(origin, date=when)
+    written = replace(synthesis, provenance=origin)
+    return replace(written, provenance=replace(origin, digest=written.digest))
 
 
 def _signals(names: Sequence[str], side: str) -> list[dict[str, str]]:
@@ -312,6 +327,8 @@ def _layout(content: Mapping[str, Any]) -> str:
         if isinstance(value, list) and value:
             rows = ",\n".join(f"  {json.dumps(row, allow_nan=False)}" for row in value)
             lines.append(f"{json.dumps(key)}: [\n{rows}\n ]")
+        elif key == "thrust":
+            lines.append(f"{json.dumps(key)}: {_layout(value).rstrip()}")
         else:
             lines.append(f"{json.dumps(key)}: {json.dumps(value, allow_nan=False)}")
     return "{\n " + ",\n ".join(lines) + "\n}\n"
@@ -351,7 +368,7 @@ def read_controller(
             and is_table(content)
         ):
             return _imported(content, machine, stated)
-        return _placed(_restated(_synthesis(_parse(content)), stated), machine)
+        return _placed(_restated(_both(_parse(content)), stated), machine)
     except InvalidInput as error:
         raise InvalidInput(
             f"controller file {path}: {str(error).removeprefix(f'{path}: ')}"
@@ -494,7 +511,21 @@ def _place(path: Sequence[str | int]) -> str:
     return text.removeprefix(".") or "the file"
 
 
-def _synthesis(table: ControllerTable) -> Synthesis:
+def _both(table: ControllerTable) -> Synthesis:
+    """A file's content as nouns, with the controller of the thrust axis. Raises InvalidInput."""
+    found = _synthesis(table)
+    if table.thrust is None:
+        return found
+    try:
+        thrust = _synthesis(table.thrust)
+    except InvalidInput as error:
+        raise InvalidInput(f"thrust: {error}") from error
+    if len(thrust.outputs) != 1:
+        raise invalid("the number of outputs of thrust", len(thrust.outputs), "1", _AGAIN)
+    return replace(found, thrust=thrust)
+
+
+def _synthesis(table: GroupTable) -> Synthesis:
     """The tables' content as nouns; raises InvalidInput where they do not fit together."""
     inputs, outputs = [item.name for item in table.inputs], [item.name for item in table.outputs]
     if len(table.A) > STATES:
@@ -503,7 +534,7 @@ def _synthesis(table: ControllerTable) -> Synthesis:
         )
     _check_timing(table.provenance.settings or {})
 
-    def system(letters: ControllerTable | SystemTable, where: str = "") -> StateSpace:
+    def system(letters: GroupTable | SystemTable, where: str = "") -> StateSpace:
         parts = _matrices(letters, where, len(table.A), len(inputs), len(outputs))
         return StateSpace(*parts, inputs, outputs, table.sample_time)
 
@@ -588,7 +619,7 @@ def _weights(table: WeightsTable) -> Weights:
     return Weights(system("performance", "err", "z1"), system("control", "u", "z2"), **sizes)
 
 
-def _matrices(table: ControllerTable | SystemTable, where: str, n: int, m: int, p: int) -> Matrices:
+def _matrices(table: GroupTable | SystemTable, where: str, n: int, m: int, p: int) -> Matrices:
     """A (n, n), B (n, m), C (p, n), D (p, m). Raises InvalidInput naming the matrix and the row
     that do not fit.
     """

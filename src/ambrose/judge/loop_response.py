@@ -580,6 +580,6 @@ def beyond_reach(least: float, pole: float, delay: float, limit: float) -> str:
         )
         return f"no controller can: {invisible}; {remedy}"
     return (
-        f"no controller can: {unavoidable_words(least, pole, delay)}, and {limit:.3g} is asked; "
-        f"{remedy}"
+        f"no controller can: {unavoidable_words(least, pole, delay)}, and the limit is "
+        f"{limit:.3g}; {remedy}"
     )

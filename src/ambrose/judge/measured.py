@@ -585,6 +585,24 @@ def check_measured(
     return replace(checks, notes=_notes(lines, judged, valid))
 
 
+def measured_plant(
+    plant: Plant, response: Response, running: LawLike | None, timing: Timing | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """omega (w,) [rad/s] and the measured plant G (w, a, a) there, with the hold of a sampled loop
+    and without delay. running: the controller that ran, on which what is measured is judged first.
+    Raises InvalidInput, as ``check_measured``.
+    """
+    if running is not None:
+        check_measured(plant, response, running, running, timing)
+    law = None if running is None else running_law(running, plant, timing)
+    lines = lines_of(usable(response, plant.axes, None if law is None else law.dt), plant.axes)
+    K_run = controller_at(law, len(plant.axes))(lines.omega)
+
+    # G = (Y^-1 - K_run)^-1 = (I - Y K_run)^-1 Y of the motion Y = (I + G K_run)^-1 G
+    Y = _motion(lines.kind, lines.X, K_run)[0]
+    return lines.omega, np.linalg.inv(np.eye(Y.shape[1]) - Y @ K_run) @ Y
+
+
 def _parts(
     response: Response,
     axes: Sequence[str],
@@ -844,7 +862,7 @@ def _checks(
     if not whole:
         missing = [axis for axis in plant.axes if axis not in axes]
         reason = (
-            "each by itself, the largest singular value is not told; sweep every axis while all "
+            "each by itself, the largest singular value is unknown; sweep every axis while all "
             "displacements are recorded"
         )
         if missing:

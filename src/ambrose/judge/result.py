@@ -39,7 +39,7 @@ from ambrose.law.law import FixedLaw, Law, LawLike, ScheduledLaw, Scheduling, la
 from ambrose.law.loop import Timing, machine_timing, match_controller
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.machine import in_file
+from ambrose.machine.machine import Machine, in_file
 from ambrose.machine.part import PidSettings, Synchronous
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
@@ -387,8 +387,8 @@ class Synthesis(Presented, Law):
     ended before its end, with the best verified controller so far (None: it did not). weights: of
     the design problem (None where there is none). filters: the [controller] that gives the same
     controller by method "pid" (None: none does). synchronous: the blocks that reject the
-    unbalance's signal, beside the controller. By default, a controller from elsewhere that nothing
-    was shown of.
+    unbalance's signal, beside the controller. thrust: the same of the thrust axis, of a machine
+    that has both groups of axes. By default, a controller from elsewhere that nothing was shown of.
 
     Two are equal when all they say is equal, whatever file they come from. Raises InvalidInput for
     an unknown status, or for "verified" without a certificate that says stable.
@@ -407,6 +407,7 @@ class Synthesis(Presented, Law):
     provenance: Provenance = Provenance()
     filters: PidSettings | None = None
     synchronous: tuple[Synchronous, ...] = ()
+    thrust: Synthesis | None = None
 
     def __post_init__(self) -> None:
         if self.status not in list(Status):
@@ -419,7 +420,10 @@ class Synthesis(Presented, Law):
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Synthesis):
             return NotImplemented
-        return {**self.to_dict(), "provenance": None} == {**other.to_dict(), "provenance": None}
+        one, two = (
+            {**item.to_dict(), "provenance": None, "thrust": None} for item in (self, other)
+        )
+        return one == two and self.thrust == other.thrust
 
     __hash__ = None  # type: ignore[assignment]
 
@@ -485,7 +489,8 @@ class Synthesis(Presented, Law):
         certificate, history, origin.
         """
         content = self.to_dict()
-        content["provenance"] |= {"date": "", "digest": None}
+        for part in (content, content.get("thrust", content)):
+            part["provenance"] |= {"date": "", "digest": None}
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
     @property
@@ -616,6 +621,7 @@ class Synthesis(Presented, Law):
                 if self.synchronous
                 else {}
             ),
+            **({} if self.thrust is None else {"thrust": self.thrust.to_dict()}),
         }
 
     def to_frame(self) -> Any:
@@ -776,6 +782,17 @@ def pid_synthesis(
     result = continuous_pid(plant, settings)
     machine = replace(plant.machine, controller=result.filters)
     return certify_as_it_runs(plant, result, timing or machine_timing(machine))
+
+
+def machine_pid(machine: Machine) -> Synthesis:
+    """The PID of the machine file as it stands there, nothing shown of it. Raises InvalidInput
+    where it states none.
+    """
+    settings = machine.reference
+    if settings is None:
+        remedy = in_file(machine, "add a [controller] with its gain")
+        raise InvalidInput(f"{machine.name} has no PID of its own; give a controller, or {remedy}")
+    return Synthesis(pid_controller(settings, machine), "pid of the machine file", filters=settings)
 
 
 @named_failure("the PID controller")

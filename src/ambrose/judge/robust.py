@@ -527,7 +527,7 @@ def _performance(
             "robust.performance", title, float("inf"), "-", f"not available: {error}"
         ), []
     holds = (
-        "performance holds all over the box"
+        "performance is met over the whole box"
         if peak.upper < 1
         else f"it holds for {1 / peak.upper:.3g} of box and weights"
     )

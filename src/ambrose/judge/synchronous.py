@@ -441,7 +441,7 @@ def _loop_alone(item: BlockLoop, places: Iterable[tuple[float, Condition]]) -> C
             )
             wanted = Demand(0.0, "<", "stability")
             check = judge("stability.abscissa", title, growth, "rad/s", wanted, detail)
-            note = "The loop is unstable without the block: nothing is judged of the block."
+            note = "The loop is unstable without the block: the block is not checked."
             label = f"the loop alone, in the band of the {item.label}"
             return Checks(label, False, (check,), (), (note,))
     return None

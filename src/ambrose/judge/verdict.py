@@ -49,6 +49,7 @@ from ambrose.law.loop import (
     STATE_RATE,
     Timing,
     closed_loop,
+    laws_of,
     match_controller,
     running_law,
     timing_of,
@@ -283,8 +284,8 @@ def _changes(peak: np.ndarray, axis: int) -> np.ndarray:
     return np.where(both, 0.0, change)
 
 
-# the options that hold for the axis along the shaft as for the others
-_OF_EVERY_AXIS = ("rate", "delay_samples", "tolerances", "everywhere")
+# what moves while the machine runs is across the shaft
+_ACROSS: dict[str, Any] = {"pressure_rate": None, "pressure_error": 0.0, "speed_rate": None}
 
 
 @names_wrong_types
@@ -301,8 +302,9 @@ def verify_controller(
     """The checks of a controller on the full plant at every operating point, and over the
     tolerances around each.
 
-    machine: or the plants to verify on, one or several. controller: what controls, as a law or as
-    anything that ``law.law.law_of`` makes one of. points: operating points or labels (None: all).
+    machine: or the plants to verify on, one or several; every group of its axes is judged, and one
+    without a law is named in ``not_judged``. controller: what controls, as a law or as anything
+    that ``law.law.law_of`` makes one of. points: operating points or labels (None: all).
     measured: frequency responses or their files, one for each operating point that they are of,
     where they decide in place of the model and its tolerances (``judge.measured``); running: the
     controller that ran then (None: they are of the plant alone).
@@ -312,20 +314,37 @@ def verify_controller(
     not one for this machine, and, before anything is computed, where a motion cannot be examined.
     """
     law, asked = law_of(controller), Verifying(**options)
+    if not isinstance(machine, Machine):
+        return _verify_axes(machine, law, asked, points, measured, running, progress)
+    groups = laws_of(machine, law, asked.axial, asked.axes)
+    (own, first), *others = groups.values()
+    if points is None:
+        refuse_motion(own, first, asked)
+    # the thrust axis first: it takes little, and its controller may be the wrong one
+    rest = [
+        _verify_axes(group, other, replace(asked, **_ACROSS), points, (), None, progress)
+        for group, other in others
+    ]
+    found = _verify_axes(own, first, asked, points, measured, running, progress)
+    for thrust in rest:
+        found = found.with_thrust(thrust)
+    wanted = machine.groups if asked.axes is None else {}
+    missing = tuple(f"{name} axis" for name in wanted if name not in groups)
+    several = len(machine.groups) > 1
+    return replace(found, not_judged=missing, axes=tuple(groups) if several else ())
+
+
+def _verify_axes(
+    machine: Machine | Plant | Sequence[Plant],
+    law: Law,
+    asked: Verifying,
+    points: Sequence[str | OperatingPoint] | None,
+    measured: Responses,
+    running: LawLike | None,
+    progress: Progress,
+) -> Verification:
+    """``verify_controller`` of one group of axes and its law."""
     whole = machine if points is None and isinstance(machine, Machine) else None
-    if asked.axial is not None:
-        # the axis along the shaft first: it takes little, and its controller may be the wrong one
-        if whole is None or not whole.has_axis:
-            raise InvalidInput(
-                "axial is given, but what is judged has no thrust bearing; leave it out, or give "
-                "the whole machine without points"
-            )
-        own = {name: value for name, value in options.items() if name in _OF_EVERY_AXIS}
-        thrust = verify_controller(whole.axial, asked.axial, progress=progress, **own)
-        rest: Any = {**options, "measured": measured, "running": running, "axial": None}
-        return verify_controller(whole, law, progress=progress, **rest).with_thrust(thrust)
-    if whole is not None:
-        refuse_motion(whole, law, asked)
     if not isinstance(machine, Machine):
         plants = (machine,) if isinstance(machine, Plant) else tuple(machine)
     elif points is None:
@@ -376,7 +395,6 @@ def verify_controller(
         moving,
         blocks,
         controller=law.named,
-        not_judged=("thrust axis",) if whole is not None and whole.has_axis else (),
         over_speed=tuple(
             f"{plant.point.label}: {words}"
             for plant in within
@@ -581,7 +599,7 @@ def _unjudged(check: Check) -> Check:
         check,
         limit=None,
         passed=None,
-        detail=f"{check.detail}, which is judged by the sampled one below",
+        detail=f"{check.detail}, which the sampled one below replaces",
     )
 
 

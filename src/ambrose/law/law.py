@@ -270,6 +270,11 @@ class Law(ABC):
         return ()
 
     @property
+    def thrust(self) -> Law | None:
+        """The law of the thrust axis beside it, of one that holds both groups of axes."""
+        return None
+
+    @property
     def schedule(self) -> ScheduledSystem | None:
         """The matrices on a grid that it is, linear between neighbours; None: it is no such law."""
         return None

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -28,7 +28,15 @@ from ambrose.core.statespace import (
     series,
 )
 from ambrose.law.law import Law, LawLike, law_of
-from ambrose.machine.machine import AXIS, SUFFIX, AxialMachine, Machine, require_magnets
+from ambrose.machine.machine import (
+    AXIS,
+    RADIAL,
+    SUFFIX,
+    THRUST,
+    AxialMachine,
+    Machine,
+    require_magnets,
+)
 from ambrose.machine.ordinary_file import DELAY_SAMPLES
 from ambrose.machine.thrust import ThrustBearing
 from ambrose.model.plant import Plant
@@ -75,6 +83,57 @@ def match_controller(controller: LawLike, plant: Plant) -> StateSpace:
     law = law_of(controller).at(plant.point)
     check_side(law.inputs, plant.machine)
     return match_axes(law, plant.axes, repr(plant.machine.name))
+
+
+def laws_of(
+    machine: Machine, law: Law, axial: LawLike | None = None, axes: str | None = None
+) -> dict[str, tuple[Machine, Law]]:
+    """{group of axes: its machine and its law}, of those asked for whose law is known.
+
+    law: of the machine's own axes, perhaps with that of its thrust axis; axial: the latter, given
+    apart; axes: the one group asked for (None: all). Raises InvalidInput for a group that the
+    machine lacks, and for laws that are exchanged or given twice.
+    """
+    machine = machine.only(THRUST) if axes == THRUST else machine
+    groups = machine.groups if axes is None else {axes: machine.only(axes)}
+    along = None if axial is None else law_of(axial)
+    if along is not None and (machine.group == THRUST or law.thrust is not None):
+        twice = "the thrust axis has two controllers, one of them given as axial; leave it out"
+        raise InvalidInput(twice)
+    if along is not None and THRUST not in machine.groups:
+        raise InvalidInput(
+            f"axial is given, but {machine.name} has no thrust bearing; leave it out"
+        )
+    if along is not None:
+        _check_exchanged(law.inputs, along.inputs, machine.groups)
+    laws = {RADIAL: law, THRUST: law.thrust if along is None else along}
+    if machine.group == THRUST:
+        laws = {THRUST: law.thrust or law}
+    return {
+        name: (group, known)
+        for name, group in groups.items()
+        if (known := laws.get(name)) is not None
+    }
+
+
+def _check_exchanged(
+    inputs: Sequence[str], along: Sequence[str], groups: Mapping[str, Machine]
+) -> None:
+    """Refuses controllers of the other group, by the names of their inputs. Raises InvalidInput."""
+    radial, thrust = ({f"err_{axis}" for axis in item.axes} for item in groups.values())
+    if set(inputs) == thrust and set(along) == radial:
+        raise InvalidInput(
+            "the controllers of the radial axes and of the thrust axis are exchanged; swap them"
+        )
+    if set(inputs) == thrust:
+        raise InvalidInput(
+            f"the controller is of {groups[THRUST].axes[0]}, as the one given as axial is; give "
+            f"that of the radial axes {', '.join(groups[RADIAL].axes)}"
+        )
+    if set(along) == radial:
+        raise InvalidInput(
+            f"axial is a controller of the radial axes; give that of {groups[THRUST].axes[0]}"
+        )
 
 
 def check_side(inputs: Sequence[str], machine: Machine) -> None:

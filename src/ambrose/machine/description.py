@@ -348,7 +348,7 @@ class Tolerance(Part):
     "bearing.A.negative_stiffness.zeta").
 
     relative: half-width as a fraction of the nominal value; or absolute: half-width in SI units.
-    One of the two. around: labels of the operating points around which it holds; by default every
+    One of the two. around: labels of the operating points around which it applies; by default every
     one.
     """
 
@@ -392,7 +392,7 @@ class Requirements(Part):
     ] = None
     balance_speed: Annotated[Rate | None, "speed at which the residual unbalance is set"] = None
     unbalance_orbit: Annotated[Length | None, "largest unbalance response, zero to peak"] = None
-    unbalance_to: Annotated[Rate | None, "speed up to which unbalance_orbit holds"] = None
+    unbalance_to: Annotated[Rate | None, "speed up to which unbalance_orbit applies"] = None
     settling_time: Annotated[Time | None, "longest settling after a disturbance"] = None
     gain_margin: Annotated[Ratio | None, "smallest gain margin, as a factor"] = None
     phase_margin: Annotated[Angle | None, "smallest phase margin"] = None

@@ -24,6 +24,7 @@ from ambrose.machine.part import BendingMode, Material, Part, PidSettings, Senso
 from ambrose.machine.thrust import AxialRequirements, ThrustBearing
 from ambrose.machine.validation.machine import InvalidMachine, axial_problems, check_machine
 
+RADIAL, THRUST = "radial", "thrust"  # groups of axes
 # keys of [machine]
 _HEAD = ("name", "description", "source", "beam_theory", "modal_damping", "gravity_direction")
 
@@ -51,22 +52,34 @@ class Machine(MachineDescription):
                 effect.axis(self)  # what is wrong with it is refused with the machine
 
     @property
-    def has_axis(self) -> bool:
-        """Whether it has an axis along its shaft."""
-        return any(effect.axis is not None for effect, _ in attached(self))
+    def group(self) -> str:
+        """The group whose axes ``axes`` are."""
+        return RADIAL
+
+    @property
+    def groups(self) -> dict[str, Machine]:
+        """Its groups of axes by name, each as the machine of these alone, its own first."""
+        along = (effect.axis(self) for effect, _ in attached(self) if effect.axis is not None)
+        return {self.group: self, **{machine.group: machine for machine in along}}
+
+    def only(self, group: str) -> Machine:
+        """The machine of one group of axes. Raises InvalidInput where it has none."""
+        if group in (groups := self.groups):
+            return groups[group]
+        if group == THRUST:
+            raise InvalidInput(
+                f"{self.name} has no axis along its shaft to control; add a [[thrust_bearing]]"
+            )
+        raise InvalidInput(
+            f'{self.name} is the thrust axis alone; take the machine without "{SUFFIX}"'
+        )
 
     @property
     def axial(self) -> Machine:
-        """The axis along the shaft as a machine of its own (``machine.machine.AxialMachine``).
-        Raises InvalidInput where there is no [[thrust_bearing]].
+        """The axis along the shaft (``machine.machine.AxialMachine``). Raises InvalidInput where
+        there is no [[thrust_bearing]].
         """
-        for effect, _ in attached(self):
-            if effect.axis is not None:
-                machine: Machine = effect.axis(self)
-                return machine
-        raise InvalidInput(
-            f"{self.name} has no axis along its shaft to control; add a [[thrust_bearing]]"
-        )
+        return self.only(THRUST)
 
     def facts(self) -> Mapping[str, Any]:
         counts = {
@@ -215,7 +228,7 @@ def require_magnets(machine: MachineDescription) -> None:
     if not machine.axes:
         raise InvalidInput(
             f"{machine.name} has no magnetic bearings, so that there is nothing to control; give "
-            "it [[bearing]] tables, or take a command that does without: check, convert, lateral"
+            "it [[bearing]] tables, or use a command that needs none: check, convert, lateral"
         )
 
 
@@ -270,14 +283,14 @@ class AxialMachine(Machine):
         return found
 
     @property
-    def has_axis(self) -> bool:
-        """It is one itself, and has no other."""
-        return False
+    def group(self) -> str:
+        """That of its one axis."""
+        return THRUST
 
     @property
-    def axial(self) -> AxialMachine:
-        """Itself."""
-        return self
+    def groups(self) -> dict[str, Machine]:
+        """Its own: it has no other."""
+        return {THRUST: self}
 
     @property
     def axes(self) -> tuple[str, ...]:

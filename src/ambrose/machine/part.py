@@ -337,9 +337,9 @@ class Seal(Part):
     C: Annotated[Damping, "direct damping"] = 0.0
     c: Annotated[Damping, "cross-coupled damping"] = 0.0
     M: Annotated[Mass, "added mass"] = 0.0
-    reference_pressure: Annotated[
-        Pressure | None, "differential pressure at which the coefficients hold"
-    ] = None
+    reference_pressure: Annotated[Pressure | None, "differential pressure of the coefficients"] = (
+        None
+    )
     scales_with_pressure: Annotated[
         tuple[str, ...],
         Choices(SEAL_COEFFICIENTS),
@@ -517,7 +517,7 @@ class TouchdownRace(Part):
     mass: Annotated[Mass, "mass of the inner race"]
     inertia: Annotated[Inertia, "its moment of inertia about the axis"]
     element_stiffness: Annotated[Stiffness, "stiffness F/d of the rolling elements"]
-    element_load: Annotated[Force, "load at which it holds"]
+    element_load: Annotated[Force, "load at which it applies"]
     preload: Annotated[Force, "radial preload"] = 0.0
     element_damping: Annotated[Damping, "their damping; the default is assumed"] = 1e3
     pitch_diameter: Annotated[Length | None, "pitch diameter; default: three times the radius"] = (
@@ -787,9 +787,7 @@ class Support(Part):
     Magnet and touchdown bearing act between the rotor and it, and so do the seals that are named.
     """
 
-    bearing: Annotated[
-        str, Text("the name of a [[bearing]]"), "name of the bearing that stands on it"
-    ]
+    bearing: Annotated[str, Text("the name of a [[bearing]]"), "name of the bearing mounted on it"]
     mass: Annotated[Pair, PairOf("mass", "x, y"), "mass that moves with the stator"]
     stiffness: Annotated[Pair, PairOf("stiffness", "x, y"), "stiffness to the ground"]
     damping: Annotated[Pair, PairOf("damping", "x, y"), "damping to the ground"] = (0.0, 0.0)

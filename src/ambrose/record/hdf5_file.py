@@ -197,7 +197,8 @@ LIBVER = ("v110", "v110")  # the format of HDF5 1.10: checksums on the structure
 CHUNK = 2048  # samples
 _CHECKED = b"\x89HDF\r\n\x1a\n\3"  # a file begins so that has these checksums
 _BLOCK = 1_000_000  # samples read together while they are checked
-_DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError, MemoryError)
+# what the library raises where a file is damaged
+DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError, MemoryError)
 
 
 def write_hdf5(record: Record, path: Path) -> None:
@@ -253,9 +254,8 @@ def read_hdf5(path: Path, first: Callable[[], None] = lambda: None) -> Record:
 
     first = lru_cache(first)
     try:
-        with path.open("rb") as raw:
-            if raw.read(len(_CHECKED)) != _CHECKED:
-                first()
+        if not is_checked(path):
+            first()
         with opened(path) as file:
             group = (
                 own_member(file, "signals", "/signals")
@@ -291,7 +291,7 @@ def read_hdf5(path: Path, first: Callable[[], None] = lambda: None) -> Record:
             values = _values(datasets, attributes)
     except InvalidInput:
         raise
-    except _DAMAGE as error:
+    except DAMAGE as error:
         raise InvalidInput(
             f"it cannot be read as HDF5 ({error}); it is damaged, truncated or of another kind"
         ) from error
@@ -300,6 +300,14 @@ def read_hdf5(path: Path, first: Callable[[], None] = lambda: None) -> Record:
             "the attribute sample_rate_hz is missing; add the sampling frequency in Hz"
         )
     return record_of(attributes, units, values, attributes.sample_rate_hz, attributes.start_time_s)
+
+
+def is_checked(path: Path) -> bool:
+    """Whether the structure of an HDF5 file has checksums. One without may lead the library round
+    in circles for ever. Raises OSError.
+    """
+    with path.open("rb") as raw:
+        return raw.read(len(_CHECKED)) == _CHECKED
 
 
 @contextmanager

@@ -133,6 +133,10 @@ class Response(Presented):
         }
 
 
+# of any quantity in SI, far beyond those of machines, and far within what doubles can square
+_BEYOND = 1e30
+
+
 def _check(path: Path, lines: int, omega: np.ndarray) -> None:
     if path.quantity not in QUANTITIES or path.at not in {SENSOR, CURRENT}:
         raise invalid(
@@ -156,6 +160,11 @@ def _check(path: Path, lines: int, omega: np.ndarray) -> None:
             at = omega[int(np.argmin(finite))] / (2 * np.pi)
             raise InvalidInput(
                 f"{path.name} at {at:g} Hz is not finite; leave that line out, or measure it again"
+            )
+        if (largest := float(np.abs(numbers).max())) > _BEYOND:
+            raise InvalidInput(
+                f"one of the {what} of {path.name} is {largest:.3g} in SI units, more than any "
+                "machine has; correct its unit, or leave that line out"
             )
     if path.variance is not None and not (path.variance > 0).all():
         raise InvalidInput(f"a variance of {path.name} is not positive; leave the column out")

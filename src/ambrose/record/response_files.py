@@ -37,7 +37,7 @@ from ambrose.machine.units import DIMENSIONS, in_si, quoted
 from ambrose.options import either
 from ambrose.record.apart import read_variables, variables_of
 from ambrose.record.foreign import Column
-from ambrose.record.hdf5_file import fixed, opened, own_member
+from ambrose.record.hdf5_file import DAMAGE, fixed, is_checked, opened, own_member
 from ambrose.record.record import POINT_KEYS
 from ambrose.record.response import CURRENT, QUANTITIES, SENSOR, Path, Response, unit_factor
 from ambrose.record.text_uff import ABSCISSA, Variable, refuse_encoding, refuse_separators
@@ -149,6 +149,8 @@ def holds_responses(path: str | File) -> bool:
         if not path.is_file() or not path.stat().st_size:
             return False
         if path.suffix.lower() in {".h5", ".hdf5"}:
+            if not is_checked(path):
+                return False
             with opened(path) as file:
                 return "frequency" in file
         if path.suffix.lower() == ".json":
@@ -159,7 +161,7 @@ def holds_responses(path: str | File) -> bool:
         with path.open(encoding="utf-8-sig") as lines:
             head = next((x for x in lines if x.strip() and x[0] != "#"), "")[:1000]
         return head.strip().lower().startswith("freq")
-    except (OSError, ValueError, InvalidInput):
+    except (InvalidInput, *DAMAGE):
         return False
 
 
@@ -186,8 +188,12 @@ def read_response(
         elif not isinstance(columns, ResponseMap):
             columns = read_map(columns)
         return _mapped(path, columns)
-    except (InvalidInput, OSError) as error:
+    except InvalidInput as error:
         raise InvalidInput(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
+    except DAMAGE as error:
+        raise InvalidInput(
+            f"{path}: it cannot be read ({error}); it is damaged, truncated or of another kind"
+        ) from error
 
 
 def write_response(response: Response, path: str | File) -> File:
@@ -319,7 +325,8 @@ def _mapped(path: File, columns: ResponseMap) -> Response:
                 "the datasets are over different frequencies; read each as separate responses"
             )
     omega = _rates(frequency, data[frequency.source])
-    paths = tuple(_path(item, data, omega) for item in columns.paths)
+    with np.errstate(over="ignore", invalid="ignore"):  # refused as what is not finite
+        paths = tuple(_path(item, data, omega) for item in columns.paths)
     return Response(
         columns.machine, omega, paths, columns.point, columns.date, columns.sample_rate_hz
     )
@@ -443,7 +450,9 @@ def _read_hdf5(path: File) -> Response:
         return value.decode() if isinstance(value, bytes) else str(value)
 
     with opened(path) as file:
-        if text(file.attrs.get("format", "")) != FORMAT or "frequency" not in file:
+        # one that this package wrote has checksums on its structure
+        own = is_checked(path) and text(file.attrs.get("format", "")) == FORMAT
+        if not own or "frequency" not in file:
             raise InvalidInput(
                 f"it is not a file of responses (format {FORMAT!r}); give a column map (--columns)"
             )

@@ -18,7 +18,7 @@ from ambrose.judge.checks import Checks, Curve, Verification
 from ambrose.judge.loop_response import ALL_AXES
 from ambrose.law.loop import timing_in_words
 from ambrose.machine.file.toml import machine_hash
-from ambrose.machine.machine import Machine, tolerance_in_words
+from ambrose.machine.machine import Machine
 from ambrose.model.static_load import LEAST_AMPLIFICATION
 from ambrose.report import comparison_tables, tables, theme
 from ambrose.report.comparison_tables import NOT_EVALUATED, decision, envelope_section, quoted
@@ -496,9 +496,6 @@ def comparison_page(
     return Page(title, machine, tuple(sections), (), facts, date, result=outcome, opening=opening)
 
 
-_FEW = 3  # tolerances that the head of the page names
-
-
 def _identity(machine: Machine, candidates: Sequence[Candidate]) -> tuple[tuple[str, str], ...]:
     """Every controller with its states and the first digits of its hash, which loop was checked,
     and the first tolerances.
@@ -513,12 +510,10 @@ def _identity(machine: Machine, candidates: Sequence[Candidate]) -> tuple[tuple[
         f"{quoted(c.name)} ({c.synthesis.controller.n_states}) {c.synthesis.digest[:12]}"
         for c in candidates
     )
-    widths = [tolerance_in_words(item) for item in machine.tolerances]
-    more = f" and {len(widths) - _FEW} more" if len(widths) > _FEW else ""
     return (
         ("Controllers (states), SHA-256", ", ".join(digests)),
         ("Loop", "; ".join(loops)),
-        ("Tolerances", ", ".join(widths[:_FEW]) + more),
+        tables.tolerances_in_head(machine),
     )
 
 

@@ -645,7 +645,7 @@ def record_page(
 
 def _along(record: Record, machine: Machine, label: str) -> tuple[Figure, ...]:
     """The collar between its stops, currents and forces, where a record of all axes has them."""
-    if not machine.has_axis:
+    if len(machine.groups) < 2:
         return ()
     part = machine.axial
     kinds = {f"{kind}_{axis}" for kind in "qy" for axis in part.axes}

@@ -20,7 +20,7 @@ from ambrose.judge.checks import (
 from ambrose.law.loop import timing_in_words
 from ambrose.machine.attachment import attached
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.machine import Machine
+from ambrose.machine.machine import Machine, tolerance_in_words
 from ambrose.machine.parameters import chosen
 from ambrose.machine.part import Part
 from ambrose.machine.validation.parts import unit_and_names
@@ -194,10 +194,14 @@ def loop_in_words(timing: str) -> str:
     return f"{words}. Use --rate-hz for the sampled loop" if timing == CONTINUOUS else words
 
 
+_FEW = 3  # tolerances that the head of a page names
+
+
 def unchecked(result: Verification) -> list[str]:
     """What a verification does not cover, a sentence for each kind."""
     sentences = [
-        f"Not judged: the {axis}; --axial takes its controller." for axis in result.not_judged
+        f"Not checked: the {axis}. Give its controller (--axial), or narrow with --axes radial."
+        for axis in result.not_judged
     ]
     if result.left_out:
         names = "; ".join(result.left_out)
@@ -213,14 +217,24 @@ def still(not_varied: Sequence[str]) -> list[str]:
     ``model.uncertainty.not_varied`` words them; another reason in full.
     """
     sentences, left = [], list(not_varied)
-    for ending, why in (("(zero here)", "zero there"), (" only)", "given for other points")):
+    for ending, why in (
+        ("(zero here)", "coefficient is zero"),
+        (" only)", "stated for other points"),
+    ):
         ended = [words for words in left if words.endswith(ending)]
         left = [words for words in left if not words.endswith(ending)]
         counts = Counter(words.partition(": ")[0] for words in ended)
         if counts:
             where = ", ".join(f"{count} at {label}" for label, count in counts.items())
-            sentences.append(f"Parameters not varied ({why}): {where}.")
+            sentences.append(f"Tolerances without effect ({why}): {where}.")
     return [*sentences, *(f"Not varied around {words}." for words in left)]
+
+
+def tolerances_in_head(machine: Machine) -> tuple[str, str]:
+    """For the head of a page: the first tolerances, and how many more there are."""
+    widths = [tolerance_in_words(item) for item in machine.tolerances]
+    more = f" and {len(widths) - _FEW} more" if len(widths) > _FEW else ""
+    return "Tolerances", ", ".join(widths[:_FEW]) + more
 
 
 def unstated(machine: Machine) -> tuple[str, str]:
@@ -452,7 +466,8 @@ def deciding_verdict(verification: Verification) -> str:
     failed = [check for check in judged if not check.passed]
     thrust = sum(checks.label.startswith(THRUST) for checks in verification.points)
     points, boxes = len(verification.points) - thrust, len(verification.boxes)
-    scope = "radial axes, " if verification.not_judged else ""
+    alone = {"radial": "radial axes, ", "thrust": "thrust axis, "}
+    scope = alone[verification.axes[0]] if len(verification.axes) == 1 else ""
     scope += f"radial axes and thrust axis ({thrust} states), " if thrust else ""
     scope += f"{points} operating point{'s' * (points != 1)}"
     scope += f", {verification.between}" if verification.between else ""
@@ -474,6 +489,8 @@ def deciding_verdict(verification: Verification) -> str:
             f"FAILED: {len(failed)} of {len(judged)} requirements are not met ({scope}, {loop})."
         )
         words += f" Unstable: {'; '.join(unstable)}." if unstable else ""
+    elif verification.not_judged:
+        words = f"FAILED: the {verification.not_judged[0]} has no controller ({scope}, {loop})."
     else:
         words = f"FAILED: the controller does not cover all operating points ({scope}, {loop})."
     if (nearest := tightest(verification)) is None:

@@ -146,6 +146,7 @@ def page_of_verification(verification: Verification, machine: Machine, **options
     facts = (
         ("Controller", verification.controller),
         ("Loop", tables.loop_in_words(verification.timing)),
+        tables.tolerances_in_head(machine),
         (
             "Not checked",
             " ".join((*tables.unchecked(verification), tables.capitalised(unproved, end=""))),

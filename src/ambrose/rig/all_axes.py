@@ -101,7 +101,7 @@ def run(
     it (f_thrust_z). Raises InvalidInput, and NumericalFailure where there is no levitated state to
     start from.
     """
-    if not machine.has_axis:
+    if len(machine.groups) < 2:
         raise InvalidInput(
             f"{machine.name} has no thrust bearing; leave the axial controller out, and use a "
             "machine file without #axial"

@@ -567,8 +567,8 @@ class Scenario(Presented):
         that is asked for.
         """
         if self.names_thrust and not isinstance(machine, AxialMachine):
-            remedy = "give its axial controller, too (--axial), or take file.toml#axial"
-            if not machine.has_axis:
+            remedy = "give its axial controller, too (--axial), or take --axes thrust"
+            if len(machine.groups) < 2:
                 remedy = f"{machine.name} has no [[thrust_bearing]]; take another scenario"
             raise InvalidInput(f"scenario {self.name} acts along the shaft; {remedy}")
         names = dict.fromkeys(bearing.name for bearing in machine.axis_bearings)

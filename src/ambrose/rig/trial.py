@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import wraps
 from itertools import pairwise
 from typing import Any
 
@@ -24,11 +23,20 @@ from ambrose.judge.checks import CONTINUOUS, Check, Checks
 from ambrose.judge.plants import Progress, chosen_point, split_covered
 from ambrose.judge.result import Synthesis
 from ambrose.judge.verdict import verify_points, verify_ranges, verify_tolerances
-from ambrose.law.law import PRESSURE, SPEED, LawLike, Scheduling, law_of
+from ambrose.law.law import (
+    PRESSURE,
+    SPEED,
+    AllAxesProgram,
+    Law,
+    LawLike,
+    Scheduling,
+    law_of,
+)
 from ambrose.law.loop import (
     DEFAULT,
     Timing,
     closed_loop,
+    laws_of,
     machine_timing,
     match_controller,
     running_law,
@@ -67,32 +75,14 @@ class RunUp:
     rig_steps: tuple[Step, ...]
 
 
-def _naming_laws(run: Callable[..., Trace]) -> Callable[..., Trace]:
-    """The function, its trace with what controlled."""
-
-    @wraps(run)
-    def named(
-        machine: Machine | Plant, controller: LawLike, scenario: str | Scenario, **options: Any
-    ) -> Trace:
-        given = {"Controller": controller} | {
-            f"{name.capitalize()} controller": options.get(name)
-            for name in ("second", "fallback", "axial")
-        }
-        trace = run(machine, controller, scenario, **options)
-        laws = ((part, law_of(law).named) for part, law in given.items() if law is not None)
-        return replace(trace, laws=tuple(laws))
-
-    return named
-
-
 @names_wrong_types
-@_naming_laws
 def simulate_scenario(
     machine: Machine | Plant,
     controller: LawLike,
     scenario: str | Scenario,
     *,
     point: str | OperatingPoint | None = None,
+    thrust: LawLike | None = None,
     progress: Progress = lambda stage: None,
     **options: Any,
 ) -> Trace:
@@ -102,23 +92,69 @@ def simulate_scenario(
     law or as anything that ``law.law.law_of`` makes one of. scenario: bundled, a file, or a
     Scenario. point: operating point or label (None: the nominal one). options: of
     ``ambrose.options.Simulating``; the rig takes 10 kHz and one sample where nobody says a rate.
-    With ``axial``, as with a program of all axes, all of them run together (``rig.all_axes``).
-    Synchronous blocks of the controller, else of the machine file, run beside it (rig only, without
-    the axis along the shaft). ``estimate`` is registered by the annex of schedules. Raises
-    InvalidInput.
+    With ``axial``, as with a program of all axes, all of them run together (``rig.all_axes``). So
+    they do with ``thrust``, or the thrust axis' controller that ``controller`` holds, where they
+    can; where not, the radial axes run and ``text`` says why. Synchronous blocks of the controller,
+    else of the machine file, run beside it (rig only, without the thrust axis). ``estimate`` is
+    registered by the annex of schedules. Raises InvalidInput.
     """
     asked = Simulating(**options)
-    fallback = asked.fallback
     # those of virtual_rig.run
     names = ("bending_modes", "seed", "path", "every", "dt", "computing_delay")
     rig = {name: getattr(asked, name) for name in names}
-    law = law_of(controller)
+    law, along = law_of(controller), thrust if asked.axial is None else asked.axial
     plant = machine if isinstance(machine, Plant) else None
     described = machine.machine if isinstance(machine, Plant) else machine
     events = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
-    parts = all_axes.parts_of(law, asked.axial)
-    if parts is not None:
-        return _all_axes(described, parts, events, point, asked, progress, rig)
+    alone = ""
+    if plant is None:
+        (described, law), *others = laws_of(described, law, along, asked.axes).values()
+        along = others[0][1] if others else None
+        if asked.axial is None and asked.axes is None and len(described.groups) > 1:
+            alone = _why_alone(described, law, along, events, asked)
+    parts = all_axes.parts_of(law, None if alone else along)
+    if parts is None:
+        trace = _one_group(described, plant, law, events, point, asked, progress, rig)
+    else:
+        trace = _all_axes(described, parts, events, point, asked, progress, rig)
+    text = f"{trace.text}; radial axes alone: {alone}" if alone else trace.text
+    given = {"Controller": controller, "Second controller": asked.second}
+    given |= {"Fallback controller": asked.fallback, "Axial controller": None if alone else along}
+    laws = ((part, law_of(one).named) for part, one in given.items() if one is not None)
+    return replace(trace, text=text, laws=tuple(laws))
+
+
+def _why_alone(
+    machine: Machine, law: Law, along: LawLike | None, events: Scenario, asked: Simulating
+) -> str:
+    """Why the radial axes run without the thrust axis, whose law is ``along``; "" where all axes
+    run together.
+    """
+    if isinstance(law.program, AllAxesProgram):
+        return ""
+    reasons = {
+        "no controller of the thrust axis is known": along is None,
+        "the linear model is of one group of axes": asked.linear,
+        "a second controller is theirs": asked.second is not None or events.switch_at is not None,
+        "a scheduled controller runs on them": law.scheduled_over is not None,
+        "synchronous blocks run on them": bool(blocks_of(machine, law)),
+        "a program runs on them": law.program is not None,
+    }
+    return next((words for words, holds in reasons.items() if holds), "")
+
+
+def _one_group(
+    described: Machine,
+    plant: Plant | None,
+    law: Law,
+    events: Scenario,
+    point: str | OperatingPoint | None,
+    asked: Simulating,
+    progress: Progress,
+    rig: dict[str, Any],
+) -> Trace:
+    """``simulate_scenario`` of one group of axes."""
+    fallback = asked.fallback
     rig["second"] = asked.second
     across = events.across if isinstance(described, AxialMachine) else ()
     events, where = events.on(described), chosen_point(described, point)
@@ -233,7 +269,7 @@ def _warned(
     if len(judged) > count:
         mode = f"bending mode {count + 1} ({judged[count] / (2 * math.pi):.4g} Hz)"
         words.append(
-            f"{mode} is judged but not on the rig; --bending-modes {len(judged)} takes them in"
+            f"{mode} is checked but not on the rig; --bending-modes {len(judged)} takes them in"
         )
     return replace(trace, text="; ".join([trace.text, *words])) if words else trace
 

@@ -129,7 +129,7 @@ def _not_modelled(
     which = f"{bending_modes + 1}" + (
         f" to {len(judged)}" if len(judged) > bending_modes + 1 else ""
     )
-    note = f"not in the design model though judged: bending mode {which} ({hertz} Hz)"
+    note = f"not in the design model, but checked: bending mode {which} ({hertz} Hz)"
 
     # sigma_max(S_o) of the full plant around each of them
     runs = law_of(result.law).at(plant.point)
@@ -206,7 +206,7 @@ def _with_assumed(plant: Plant, result: Synthesis, timing: Timing | None) -> Syn
     late = f"{DEFAULT.rate:g} Hz and one sample late, as virtual rig and export assume,"
     pole = f"{abscissa:+.4g} rad/s{_at_frequency(place, result)}"
     note = (
-        f"judged as continuous; at {late} it would be unstable{where} ({pole}); state the rate, "
+        f"checked as continuous; at {late} it would be unstable{where} ({pole}); state the rate, "
         "--rate-hz or sample_time"
     )
     margins = {**result.certificate.margins, "assumed_abscissa": abscissa}
@@ -494,9 +494,13 @@ def another_point(plant: Plant, method: Method) -> str:
         with suppress(NumericalFailure):
             made = design(assemble(machine, point), method)
             if made.status is Status.VERIFIED and not made.lost:
-                return f'designed for "{point.label}" it holds all points: --point "{point.label}"'
+                return (
+                    f'designed for "{point.label}" it is stable at all points: --point '
+                    f'"{point.label}"'
+                )
     return (
-        "no point's design by this method holds all: their light modes are not at one frequency; "
+        "no point's design by this method is stable at all points: their light modes are not at "
+        "one frequency; "
         "method tuned designs for all points"
     )
 
@@ -511,6 +515,7 @@ def provenance(plant: Plant, method: Method) -> Provenance:
     content = {
         "method": method.name,
         **settings(methods(), method.on(machine)),
+        **method.evidence(),
         "point": asdict(plant.point),
         "plant_states": plant.system.n_states,
     }

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Self
 
-from ambrose.options import AsItRuns, count, option, percent, positive
+from ambrose.options import AsItRuns, Rules, count, option, percent, positive
 from ambrose.registry import registered, resolve
 
 if TYPE_CHECKING:
@@ -17,9 +18,11 @@ if TYPE_CHECKING:
     from ambrose.core.statespace import StateSpace
     from ambrose.judge.result import Synthesis
     from ambrose.law.design_problem import Weights
+    from ambrose.law.law import LawLike
     from ambrose.law.loop import Timing
     from ambrose.machine.machine import Machine
     from ambrose.model.plant import Plant
+    from ambrose.record.response import Response
 
 
 # What every method of design has: a name, when the loop runs, and a controller for a plant.
@@ -45,6 +48,10 @@ class Method(AsItRuns, ABC):
     @abstractmethod
     def suits(cls, plant: Plant) -> bool:
         """Whether a machine file states what the method needs."""
+
+    def evidence(self) -> dict[str, object]:
+        """What the files hold that options name, by option: [name, SHA-256]."""
+        return {}
 
     @abstractmethod
     def design(self, plant: Plant, progress: Progress) -> Synthesis:
@@ -174,7 +181,7 @@ class Weighted(Lowered):
             return result
 
         # comparable gains were nobody's wish: the file's own weights, where they do better
-        progress("the reference's direct gains do not hold it: the file's own control weight")
+        progress("the reference's direct gains are unstable on it: the file's own control weight")
         own, reached = self._designed(plant, weights, False, progress)
         if not reached < peak or (reached > limit and peak < float("inf")):
             return result
@@ -455,11 +462,15 @@ class Tuned(Method):
     (per channel a PID and a low pass), "filters" (and notches). bending_modes: per plane in the
     models that it is tuned on (None: all below the frequency up to which sensitivity is judged, and
     one more). match_reference: the direct gains below 200 Hz stay near those of the reference
-    controller.
+    controller. measured: files of frequency responses, all axes of one operating point each, whose
+    plant is tuned on and judged beside the model's; running: the controller that ran then.
     """
 
     name: ClassVar[str] = "tuned"
     title: ClassVar[str] = "tuned"
+    rules: ClassVar[Rules] = (
+        (("running",), "measured", True, "add what was measured while it ran, {}"),
+    )
 
     order: int | None = option(
         None, "States; default: three per axis, of filters six.", check=count("leave the default")
@@ -481,10 +492,42 @@ class Tuned(Method):
         choices=(True, False),
     )
 
+    measured: Sequence[str] = option(
+        (),
+        "Frequency responses of all axes at one operating point, a file each (repeatable): the "
+        "controller is tuned on the measured plant, too.",
+        many=True,
+        metavar="PATH",
+    )
+    running: str | None = option(
+        None,
+        "The controller that ran while they were measured (*.json); default: none, they are of "
+        "the plant alone.",
+        metavar="PATH",
+    )
+
     @classmethod
     def suits(cls, plant: Plant) -> bool:
         """Always."""
         return True
+
+    def evidence(self) -> dict[str, object]:
+        """The responses and the controller that ran. Raises InvalidInput for files that cannot be
+        read.
+        """
+        from hashlib import sha256
+
+        from ambrose.machine.ordinary_file import check_source
+
+        def known(name: str, what: str) -> list[str]:
+            file = check_source(Path(name), what)
+            return [file.name, sha256(file.read_bytes()).hexdigest()]
+
+        running = None if self.running is None else known(self.running, "controller")
+        return {
+            "measured": [known(name, "responses") for name in self.measured],
+            "running": running,
+        }
 
     def without_bank(self) -> Self:
         """The method itself, for what tunes a controller step by step. Raises InvalidInput for a
@@ -498,6 +541,8 @@ class Tuned(Method):
         return self
 
     def design(self, plant: Plant, progress: Progress) -> Synthesis:
+        from ambrose.judge.controller_file import read_controller
+        from ambrose.judge.measured import measured_plant, placed
         from ambrose.judge.plants import envelope_of
         from ambrose.judge.result import full_plant_margins
         from ambrose.law.pid import first_settings, pid_controller
@@ -507,21 +552,57 @@ class Tuned(Method):
         machine = plant.machine
         start = machine.reference or first_settings(machine)
         reference = pid_controller(start, machine)
+        plants, timing = envelope_of(plant), self.timing()
+        running = None if self.running is None else read_controller(self.running).law
+        places = placed(plants, self.measured, running)
         result = tune_controller(
-            envelope_of(plant),
+            plants,
             start,
-            self.timing(),
+            timing,
             order=self.order,
             structure=self.structure,
             bending_modes=self.bending_modes,
             reference=reference if self.match_reference else None,
             progress=progress,
+            measured=[
+                (k, *measured_plant(plants[k], one, running, timing)) for k, one in places.items()
+            ],
         )
+        for k, one in places.items():
+            result = as_measured(result, plants[k], one, running, timing)
         _, margins, _ = full_plant_margins(plant, result.controller)
         if machine.reference is not None:
             margins["direct_gain_mismatch"] = direct_gain_mismatch(result.controller, reference)[0]
         certificate = replace(result.certificate, margins={**result.certificate.margins, **margins})
         return with_capacity(replace(result, certificate=certificate), machine, self.timing())
+
+
+def as_measured(
+    result: Synthesis,
+    plant: Plant,
+    response: Response,
+    running: LawLike | None,
+    timing: Timing | None,
+) -> Synthesis:
+    """A synthesis judged on the plant that was measured at an operating point as well: what fails
+    there is a note; unstable there is unstable.
+    """
+    from ambrose.judge.measured import check_measured
+    from ambrose.judge.result import Status
+
+    checks = check_measured(plant, response, result.controller, running, timing)
+    margins, notes = dict(result.certificate.margins), list(result.notes)
+    status = result.status if checks.stable else Status.UNSTABLE
+    for check in checks.checks:
+        if check.name == "sensitivity.output.max":
+            margins["measured_sensitivity_peak"] = max(
+                check.value, margins.get("measured_sensitivity_peak", 0.0)
+            )
+    for check in checks.failed:
+        limit = "" if check.limit is None else f", not {check.relation} {check.limit:.4g}"
+        notes.append(f"{checks.label}: {check.title} {check.value:.4g}{limit}; {check.detail}")
+    certificate = replace(result.certificate, margins=margins)
+    return replace(result, status=status, certificate=certificate, notes=tuple(notes))
 
 
 def with_capacity(result: Synthesis, machine: Machine, timing: Timing | None) -> Synthesis:

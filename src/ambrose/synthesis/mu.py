@@ -435,7 +435,7 @@ def _tightened(job: _Job, iterates: list[_Iterate]) -> None:
                 job.say(f"back-off {backoff:.4g}: {failure}")
                 continue
             if found.gamma < best.gamma * (1 - _GAIN) and _fastest(found) <= allowed:
-                job.say(f"back-off {backoff:.4g}: gamma {found.gamma:.4f} from {best.gamma:.4f}")
+                job.say(f"back-off {backoff:.4g}: gamma {found.gamma:.4f}, before {best.gamma:.4f}")
                 iterates.append(found)
                 break
 

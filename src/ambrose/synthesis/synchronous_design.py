@@ -392,7 +392,7 @@ def _provable(
         gap = 0.01 * (band[1] - band[0])
         ends = max(low, failed - gap), min(high, failed + gap)
         limit = orbit_limit(loop.machine, failed)
-        reason = "Herm(T S) > 0 is not proved there"
+        reason = "Herm(T S) > 0 is not proved at this speed"
         rest.append(
             Forbidden(
                 *ends, failed, np.nan, np.nan, limit, "with the T of the design", reason=reason

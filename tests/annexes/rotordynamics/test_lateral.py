@@ -459,12 +459,12 @@ def test_a_row_in_the_terminal_keeps_sign_bound_and_unit():
 def test_a_value_that_is_not_finite_passes_nothing(value):
     row = Item("x", "A thing", "", "", "own", value, "-", ">=", 1.0, True, "somewhere")
     assert row.passed is None and row.unjudged
-    assert row.note == "somewhere; value not known, not judged"
+    assert row.note == "somewhere; value not known, not checked"
     failing = Item("x", "A thing", "", "", "own", value, "-", ">=", 1.0, False)
     assert failing.passed is False
     text = heads(films(), (row, Item("y", "Another", "", "", "own", 2.0, "-", ">=", 1.0, True)))
     assert (
-        "All 1 requirements are met" in text
+        "PASSED: all 1 requirements are met" in text
         and "Not checked, value unknown" in text
         and "A thing" in text
     )

@@ -209,7 +209,7 @@ def test_a_point_beyond_the_schedule_is_left_out_and_fails(folder):
     done = call(folder, "verify", "rig.toml", "--controller", "half.json", "--details")
     assert done.exit_code == 1
     assert (
-        "Not judged, which does not pass: twice nominal pressure; the schedule does not cover them"
+        "Not checked, which does not pass: twice nominal pressure; the schedule does not cover them"
         in done.stdout
     )
 

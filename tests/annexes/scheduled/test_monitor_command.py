@@ -97,6 +97,7 @@ def test_the_pressure_is_found_and_shown(place):
     assert told["paths"][0] in page and "the seal is within its range" in page
 
 
+@pytest.mark.parametrize("place", [("seal-rig", "nominal")], indirect=True)
 def test_the_library_says_what_the_command_says(place):
     name, folder = place
     found = amb.monitor(name, folder / "pid.json", folder / "r.h5", bending_modes=1)

@@ -138,7 +138,7 @@ def test_terminal_and_page_without_controller_or_currents(place):
     assert done.exit_code == 0 and "no u_<axis>" in done.stdout, done.stdout
     found = respond(amb.load_machine(name), folder / "bare.h5")
     assert [item.what for item in found.points[0].responses] == ["motion"]
-    assert "not told" in render(frf_page(found, date="2026-01-01"))
+    assert "not measured" in render(frf_page(found, date="2026-01-01"))
 
 
 def test_refusals(place, tmp_path):
@@ -156,7 +156,7 @@ def test_refusals(place, tmp_path):
     noisy = weak.values + rows * 3e-5 * np.random.default_rng(0).standard_normal(weak.values.shape)
     write_record(replace(weak, values=noisy), tmp_path / "noisy.h5")
     done = call("frf", name, tmp_path / "noisy.h5", "--details")
-    assert done.exit_code == 1 and "hardly known" in done.stdout
+    assert done.exit_code == 1 and "poorly known" in done.stdout
 
 
 def test_its_responses_are_what_identify_reads(place, tmp_path):

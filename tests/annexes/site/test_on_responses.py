@@ -140,3 +140,42 @@ def test_what_a_retuning_refuses_of_responses(tmp_path):
         amb.retune(machine(), slow, law(), tmp_path)
     with pytest.raises(InvalidInput, match="given together"):
         amb.retune(machine(), [whole, tmp_path / "record.h5"], law(), tmp_path)
+
+
+def test_what_is_tuned_is_what_was_measured(tmp_path):
+    """Magnets 20 and 15 % off and a casing mode of which no file knows: the design that takes the
+    responses in does better on the truth, and says what the measured plant makes of it.
+    """
+    true = Truth.of(FILE, RATE, (0.2, -0.15), casing=(310.0, 0.02, 0.6))
+    hertz = np.union1d(true.hertz(lines=200), np.linspace(285, 335, 50))
+    files = [
+        str(
+            write_response(
+                true.sweep(MACHINE, matrices(law(), RATE), hertz, noise=0.003),
+                tmp_path / "sweep.json",
+            )
+        )
+    ]
+    ran = str(write_controller(tmp_path / "K.json", law(), machine()))
+    fine = np.union1d(np.geomspace(4, 1600, 2000), true.hertz(packed=20))
+
+    def reached(done):
+        S = true.sensitivity(matrices(done.controller, RATE), fine)
+        return np.linalg.norm(S, 2, axis=(1, 2)).max()
+
+    without = amb.design(machine(), "tuned", rate=RATE)
+    done = amb.design(machine(), "tuned", rate=RATE, measured=files, running=ran)
+    assert reached(done) < 0.95 * reached(without)
+    stated = done.provenance.settings
+    assert stated["measured"][0][0] == "sweep.json" and stated["running"][0] == "K.json"
+    assert len(stated["running"][1]) == 64
+    told = done.certificate.margins["measured_sensitivity_peak"]
+    assert told >= reached(done) or abs(told / reached(done) - 1) < 0.02
+
+
+def test_a_running_controller_needs_what_was_measured(tmp_path):
+    ran = str(write_controller(tmp_path / "K.json", law(), machine()))
+    with pytest.raises(InvalidInput, match="measured"):
+        amb.design(machine(), "tuned", rate=RATE, running=ran)
+    with pytest.raises(InvalidInput, match=r"sweep\.json"):
+        amb.design(machine(), "tuned", rate=RATE, running=ran, measured=["sweep.json"])

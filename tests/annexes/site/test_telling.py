@@ -52,7 +52,9 @@ def test_a_hidden_peak_fails_however_narrow_the_gap():
     assert apart.passed is True and "b: excite there: 71 Hz" in apart.detail
     told[40, 0] = False
     hidden = judged_reach(["a", "b"], omega, told, predicted, [3.0, None])
-    assert hidden.passed is False and "predicted peak of a at 41 Hz is not told" in hidden.detail
+    assert (
+        hidden.passed is False and "predicted peak of a at 41 Hz is not measured" in hidden.detail
+    )
 
     # one that is far below its limit hides nothing
     assert judged_reach(["a", "b"], omega, told, predicted, [4.5, 3.0]).passed is True

@@ -19,6 +19,7 @@ from ambrose.annexes.sizing.page import sizing_page
 from ambrose.cli import main
 from ambrose.report.page import render
 from ambrose.synthesis.methods import Tuned
+from coarse import coarse
 
 FAST = Tuned(rate=10_000, order=8)
 
@@ -26,7 +27,7 @@ FAST = Tuned(rate=10_000, order=8)
 @cache
 def rig():
     """The seal rig with k alone uncertain, at its nominal pressure."""
-    found = amb.load_machine("seal-rig-k-only")
+    found = coarse("seal-rig-k-only")
     point = found.operation.nominal
     return replace(
         found, operation=replace(found.operation, points=(point,), design_point=None, ranges=())

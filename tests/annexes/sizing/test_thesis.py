@@ -1,5 +1,5 @@
 """Thesis, 7.3: the least control action that still guarantees robust performance, as
-docs/reproduction.md states it.
+docs/research/reproduction.md states it.
 """
 
 import pytest

@@ -9,11 +9,12 @@ import ambrose as amb
 from ambrose.annexes.touchdown.analysis import held_states, sampled_law, slow_first, with_magnets
 from ambrose.annexes.touchdown.drop import Drop, build, case_of, fallen_rotor, run
 from ambrose.core.statespace import StateSpace
+from coarse import coarse
 
 
 @pytest.fixture(scope="module")
 def spindle():
-    machine = amb.load_machine("high-speed-spindle")
+    machine = coarse("high-speed-spindle")
     point = max(machine.operation.envelope, key=lambda item: item.speed)
     return machine, point, amb.design(machine, "pid"), fallen_rotor(machine, point, 2)
 

@@ -250,7 +250,7 @@ def test_a_tour_from_lift_off_to_code(tour, server, folder):
     assert "PASSED" in job(page, "Verify", "verify")
     go(page, "acceptance")
     page.locator("[name=controller]").select_option("pid.json")
-    assert "The measured loop is" in job(page, "Measure and judge", "accept")
+    assert "The measured loop is" in job(page, "Measure and check", "accept")
     go(page, "deploy")
     page.locator("[name=rate]").fill("10000")
     job(page, "Export", "export")
@@ -334,7 +334,7 @@ def _follow(chromium, server, folder, brief):
     go(page, "acceptance")
     assert page.locator("[name=record]").input_value().startswith("live-tuned-")
     assert page.locator("[name=controller]").input_value() == "tuned.json"
-    job(page, "Measure and judge", "accept")
+    job(page, "Measure and check", "accept")
     page.wait_for_selector("h2.good:has-text('accept-')")
     with page.context.expect_page() as alone:
         page.get_by_role("link", name="Open it alone").click()
@@ -428,6 +428,142 @@ def test_every_screen_fits(tour, server, chromium, width, scheme):
         if PICTURES:
             page.screenshot(path=f"{PICTURES}/{screen}-{width}-{scheme}.png", full_page=True)
     assert page.mistakes == []
+    page.context.close()
+
+
+@pytest.mark.parametrize("width", [1400, 400])
+def test_every_screen_says_where_one_is_and_its_verdict_first(tour, server, chromium, width):
+    page = new_page(chromium, width)
+    page.goto(server.address() + "#machine")
+    chain = [name for name in TITLES if name not in {"studies", "jobs"}]
+    for screen in TITLES:
+        go(page, screen)
+        if screen == "live":
+            page.wait_for_selector("canvas")
+            server.clock.advance(0.4)
+        where, step, following = page.locator("main > p"), "", []
+        if screen in chain:
+            place = chain.index(screen)
+            step = f"Step {place + 1} of {len(chain)}: {TITLES[screen]}. "
+            following = [f"#{name}" for name in chain[place + 1 : place + 2]]
+        assert where.text_content().startswith(step) and bool(step) == bool(where.text_content())
+        assert [link.get_attribute("href") for link in where.locator("a").all()] == following
+        verdict = page.locator(".facts b" if screen == "live" else ".blocks .panel").first
+        assert re.search(
+            r"PASSED|FAILED|IMPLAUSIBLE|levitates|No result yet|\d: ", verdict.text_content()
+        )
+        box = verdict.bounding_box()
+        assert box["y"] + box["height"] < 300
+    page.context.close()
+
+
+@pytest.mark.parametrize("width", [1400, 900, 400])
+def test_curves_stay_in_sight_of_their_sliders(tour, server, chromium, width):
+    page = new_page(chromium, width)
+    seen = "([kind]) => { const box = document.querySelector(kind).getBoundingClientRect();"
+    seen += " return box.top >= 0 && box.bottom <= innerHeight; }"
+    for screen, drawn in (("controllers", "figure svg"), ("live", "canvas")):
+        page.goto(server.address() + f"#{screen}")
+        page.wait_for_selector(drawn)
+        page.evaluate(
+            "([kind]) => { const figure = document.querySelector(kind);"
+            " scrollTo(0, figure.getBoundingClientRect().top + scrollY - 10); }",
+            [drawn],
+        )
+        assert page.evaluate(seen, ["input[type=range]"])
+        figure = page.locator(drawn).first.bounding_box()
+        slider = page.locator("input[type=range]").first.bounding_box()
+        apart = (
+            slider["x"] + slider["width"] <= figure["x"]
+            or figure["x"] + figure["width"] <= slider["x"]
+        )
+        assert apart == (width > 640)
+        assert apart or slider["y"] - figure["y"] > 300  # what is drawn above the sliders
+    page.context.close()
+
+
+def test_a_check_does_not_move_the_sliders(tour, server, chromium):
+    """Its tables came above them."""
+    page = new_page(chromium)
+    page.goto(server.address() + "#controllers")
+    page.wait_for_selector("figure svg")
+    slider = page.locator("input[type=range]").first
+    before = slider.bounding_box(), slider.input_value()
+    page.get_by_role("button", name="Check on the full plant").click()
+    page.wait_for_selector("h2:has-text('Full plant:')")
+    assert (slider.bounding_box(), slider.input_value()) == before
+    page.context.close()
+
+
+def test_a_button_that_cannot_act_is_grey(tour, server, chromium, tmp_path):
+    page = new_page(chromium)
+    page.goto(server.address() + "#live")
+    page.wait_for_selector("canvas")
+    server.clock.advance(0.4)
+
+    def grey():
+        names = ("Drop", "Lift", "Record", "Stop recording", "Stop exciting")
+        buttons = {name: page.get_by_role("button", name=name, exact=True) for name in names}
+        return {name for name, button in buttons.items() if button.is_disabled()}
+
+    assert grey() == {"Lift", "Stop recording", "Stop exciting"}
+    press(page, server, "Record")
+    server.clock.advance(0.4)
+    assert grey() == {"Lift", "Record", "Stop exciting"}
+    press(page, server, "Stop recording")
+    server.clock.advance(0.4)
+    page.context.close()
+    # nor one that needs a file where there is none
+    project = Project(tmp_path / "bare")
+    begin(project, "flywheel")
+    own = Served(project)
+    try:
+        page = new_page(chromium)
+        page.goto(own.address() + "#envelope")
+        button = page.get_by_role("button", name="Verify", exact=True)
+        assert button.is_disabled()
+        assert button.get_attribute("title") == "There is no controller yet"
+        page.context.close()
+    finally:
+        own.end()
+
+
+TEXTS = """() => {
+  window.texts = new Map();
+  const own = CanvasRenderingContext2D.prototype.fillText;
+  CanvasRenderingContext2D.prototype.fillText = function (text, ...more) {
+    if (!window.texts.has(this.canvas)) window.texts.set(this.canvas, new Set());
+    window.texts.get(this.canvas).add(text);
+    return own.call(this, text, ...more);
+  };
+}"""
+
+
+@pytest.mark.parametrize("width", [1400, 400])
+def test_a_rig_shows_its_bearings_a_scale_and_units_at_once(chromium, server, width):
+    """Four empty squares, and an axis of time on which 10 m was 10 ms."""
+    page = new_page(chromium, width)
+    page.goto(server.address() + "#live")
+    page.wait_for_selector("canvas")
+    page.evaluate(TEXTS)
+    page.locator("canvas").last.scroll_into_view_if_needed()
+    server.clock.advance(1.0)
+    page.locator("canvas").first.scroll_into_view_if_needed()
+    server.clock.advance(0.4)
+    drawn = page.evaluate(
+        "[...document.querySelectorAll('canvas')].map((c) => [...window.texts.get(c) || []])"
+    )
+    stations = page.locator("figcaption").all_text_contents()
+    length = re.compile(r"[\d.]+ [nµm]m")
+    for texts, caption in zip(drawn, stations, strict=False):
+        assert any(length.fullmatch(text) for text in texts)  # of its own scale
+        assert ("touchdown gap" in caption) == ("A" in texts)  # zones and ring, of bearings
+    assert sum("touchdown gap" in caption for caption in stations) == 2
+    time, spectrum = drawn[len(stations) + 1 :][:2]
+    assert any(re.fullmatch(r"\d+ ms", text) for text in time)
+    assert any(re.fullmatch(r"[\d.]+ k?Hz", text) for text in spectrum)
+    assert not [t for t in (*time, *spectrum) if re.fullmatch(r"-?[\d.]+( [nµkM])?", t)]
+    assert {t for t in (*time, *spectrum) if re.fullmatch(r"-?[\d.]+ m", t)} <= {"0 m"}
     page.context.close()
 
 
@@ -526,15 +662,15 @@ FALL = """async (tones) => {
     watch.draw(head); // a line at most four times a second
   }
   const { data, width } = fall.getContext("2d").getImageData(0, 0, fall.width, fall.height);
-  // as the spectrum above it: three times the top speed, 50 px to the left of it and 8 to the right
+  // as the spectrum above it: three times the top speed, 62 px to the left of it and 8 to the right
   const top = (Math.round((2048 * dt * 3 * 2000) / 6) - 1) / (2048 * dt);
   return Array.from({ length: 3 * tones.length + 3 }, (_, row) => {
     const marked = [];
     for (let p = 0; p < width; p += 1) if (data[4 * (row * width + p) + 3] > 40) marked.push(p);
     const middle = (marked[0] + marked[marked.length - 1] + 1) / 2;
-    const hertz = top / (width - 58);
+    const hertz = top / (width - 70);
     const wide = marked[marked.length - 1] + 1 - marked[0];
-    return marked.length ? [(middle - 50) * hertz, wide * hertz, 2 * hertz] : null;
+    return marked.length ? [(middle - 62) * hertz, wide * hertz, 2 * hertz] : null;
   });
 }"""
 
@@ -636,8 +772,8 @@ def test_a_job_that_ends_while_one_types_changes_nothing_but_what_it_made(
     for _ in range(40):
         slider.press("ArrowRight")
     page.clock.run_for(200)  # a slider asks ten times a second at most
-    page.get_by_role("button", name="Judge on the full plant").click()
-    until(page, "document.querySelector('#note').textContent.includes('was judged')")
+    page.get_by_role("button", name="Check on the full plant").click()
+    until(page, "document.querySelector('#note').textContent.includes('on the full plant')")
     turned = "() => ({ at: document.querySelector('input[type=range]').value,"
     turned += " peaks: document.querySelector('td.pass, td.fail').closest('tr').textContent,"
     turned += " said: document.querySelector('#note').textContent })"

@@ -544,7 +544,7 @@ SCREENS = [
 @pytest.mark.parametrize("path, said", SCREENS, ids=range(len(SCREENS)))
 def test_no_screen_is_led_astray(place, path, said):
     _, _, browser, folder = place
-    uploads.begin(Project(folder), "two-disc-rotor")  # without the screen that answers
+    uploads.begin(Project(folder), "flywheel")  # without the screen that answers
     secret = folder.parent / "secret.json"
     for name in ("retuning", "machines", "code"):
         (folder / name).mkdir(exist_ok=True)

@@ -537,7 +537,7 @@ def test_a_pid_that_does_not_hold_the_rig_is_not_the_first_controller(tmp_path, 
     assert asked[1] == ("tuned", {"rate": 1e4, "delay_samples": 1})
     assert session.controller == "hinf.json" and not session._lost
     write_controller(made.path("controllers", "pid.json"), design(assemble(session.machine), "pid"))
-    assert "pid.json does not hold the machine" in LiveSession(made)._lost
+    assert "pid.json is unstable on this machine" in LiveSession(made)._lost
 
 
 def test_currents_are_those_of_the_coils(session):

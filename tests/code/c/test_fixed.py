@@ -6,6 +6,7 @@ import re
 import subprocess
 from dataclasses import replace
 from fractions import Fraction
+from functools import cache
 
 import numpy as np
 import pytest
@@ -26,27 +27,30 @@ from ambrose.synthesis.design import design
 from example_blocks import gain_block, rig_block
 from needs import needs
 
-METHODS = ("pid", "hinf", "mu")
+# "large" is no design: as many states as the mu controller has
+QUICK = ("pid", "large")
 each = pytest.mark.parametrize(
-    "method", ["mu", *(pytest.param(m, marks=pytest.mark.study) for m in ("pid", "hinf"))]
+    "method", [*QUICK, *(pytest.param(m, marks=pytest.mark.study) for m in ("hinf", "mu"))]
 )
-SAMPLES = 100_000
 ERROR, CURRENT = 0.5e-3, 4.0
 compiler = needs("gcc or clang")
 
 
-@pytest.fixture(scope="module")
-def controllers():
-    plant = assemble(load_machine("seal-rig"))
-    return {method: design(plant, method).controller for method in METHODS}
+@cache
+def controller(method):
+    if method == "large":
+        return example.rig_controller()
+    return design(assemble(load_machine("seal-rig")), method).controller
 
 
-@pytest.fixture(scope="module")
-def blocks(controllers):
-    return {
-        m: build_block(deploy(K, 1e-4, 1e-4, force=True), "rig", ERROR, CURRENT)
-        for m, K in controllers.items()
-    }
+@cache
+def block_of(method):
+    return build_block(deploy(controller(method), 1e-4, 1e-4, force=True), "rig", ERROR, CURRENT)
+
+
+def adversarial(block, method):
+    """Errors and flags: hundreds of stretches of a design, dozens in CI."""
+    return driver.adversarial(block, 20_000 if method in QUICK else 100_000)
 
 
 def exact(values):
@@ -65,38 +69,42 @@ def small_block(**settings):
 
 @compiler
 @each
-def test_double_agrees_with_python(blocks, method, tmp_path):
-    block = blocks[method]
-    e, valid = driver.adversarial(block, SAMPLES)
+def test_double_agrees_with_python(method, tmp_path):
+    block = block_of(method)
+    e, valid = adversarial(block, method)
     expected = run_of(block, e, valid=valid)
     found, status = driver.replay(
         driver.compiled(block, "double", tmp_path / "c", "gcc"), "double", e, valid
     )
     assert np.abs(found - expected.currents).max() <= 1e-12 * CURRENT
     assert (status == expected.status).all()
-    for bit in (HELD, FAULT, LIMITED):  # the samples did meet every branch
+    # the samples did meet every branch: both limits, and between them
+    for bit in (HELD, FAULT):
         assert 0.01 < ((status & bit) > 0).mean() < 0.9
+    for branch in (found >= CURRENT, found <= -CURRENT, (status & LIMITED) == 0):
+        assert branch.mean() > 0.01
     assert (expected.largest <= 1).all()  # as promised for every input
     assert expected.largest.max() > 0.1
 
 
 @compiler
 @each
-def test_single_precision_stays_within_its_bounds(blocks, method, tmp_path):
-    block = blocks[method].single()
+def test_single_precision_stays_within_its_bounds(method, tmp_path):
+    block = block_of(method).single()
     with np.errstate(all="ignore"):
-        e, valid = driver.adversarial(block, SAMPLES // 2)
+        e, valid = adversarial(block, method)
         e = e.astype(np.float32).astype(float)
     program = driver.compiled(block, "float", tmp_path / "c", "gcc")
     expected = run_of(block, e, valid=valid)
     found, status = driver.replay(program, "float", e, valid)
-    # stated in docs/reference/c-code.md; limiting included
-    assert np.abs(found - expected.currents).max() <= 1e-4 * CURRENT
+    # as docs/reference/c-code.md states, limiting included; measured: 0.5 % of the bound at most
+    allowed = 0.02 * floating_error(block, 24)
+    assert (np.abs(found - expected.currents).max(axis=0) <= allowed).all()
     # but for a current that rounding alone puts above its limit or below
     differs = status != expected.status
     inside = block.current_limit - np.minimum(np.abs(found), np.abs(expected.currents))
     assert ((status ^ expected.status)[differs] == LIMITED).all() and differs.sum() <= 5
-    assert (inside.min(axis=1)[differs] <= 1e-4 * CURRENT).all()
+    assert (inside.min(axis=1)[differs] <= allowed.max()).all()
     # no limiting: the bound, which grows with the signals, holds
     share = 0.9 * CURRENT / block.raw_limit.max()
     e = np.where(np.abs(e) <= block.error_limit, e * share, 0.0).astype(np.float32).astype(float)
@@ -110,10 +118,10 @@ def test_single_precision_stays_within_its_bounds(blocks, method, tmp_path):
 
 @compiler
 @each
-def test_fixed_point_is_the_integer_model_bit_by_bit(blocks, method, tmp_path):
-    block = blocks[method]
+def test_fixed_point_is_the_integer_model_bit_by_bit(method, tmp_path):
+    block = block_of(method)
     fixed = in_words(block)
-    e, valid = driver.adversarial(block, SAMPLES // (3 if method == "mu" else 10))
+    e, valid = adversarial(block, method)
     one = 1 << fixed.signal_bits
     with np.errstate(all="ignore"):
         words = np.nan_to_num(
@@ -135,13 +143,13 @@ def test_fixed_point_is_the_integer_model_bit_by_bit(blocks, method, tmp_path):
 
 
 @compiler
-def test_c_is_the_sampled_controller(controllers, blocks, tmp_path):
+def test_c_is_the_sampled_controller(tmp_path):
     """Within the limits the code equals the dense Tustin-sampled controller, simulated by scipy."""
     rng = np.random.default_rng(3)
-    for method in METHODS:
-        block = blocks[method]
+    for method in QUICK:
+        block = block_of(method)
         e = rng.normal(0, 1, (4000, 4)) * 0.1 * ERROR * CURRENT / block.raw_limit.max()
-        K = c2d(controllers[method], 1e-4, "tustin")
+        K = c2d(controller(method), 1e-4, "tustin")
         _, expected, _ = scipy.signal.dlsim((K.A, K.B, K.C, K.D, 1e-4), e)
         found, status = driver.replay(
             driver.compiled(block, "double", tmp_path / method, "gcc"), "double", e
@@ -201,9 +209,9 @@ def test_selftest_notices_another_coefficient(tmp_path):
 
 @compiler
 @pytest.mark.parametrize("arithmetic", ["double", "float", "fixed32"])
-def test_transfer_without_a_bump(blocks, arithmetic, tmp_path):
-    for method in METHODS:
-        block = blocks[method]
+def test_transfer_without_a_bump(arithmetic, tmp_path):
+    for method in QUICK:
+        block = block_of(method)
         program = driver.compiled(
             block,
             arithmetic,
@@ -247,11 +255,11 @@ def test_held_input_and_fault(tmp_path):
     assert np.abs(found - steady).max() <= 1e-13
 
 
-def test_integrators_do_not_wind_up(blocks):
+def test_integrators_do_not_wind_up():
     """After 2 s beyond the limit the output leaves it within a few windup times; without
     anti-windup it stays.
     """
-    block = blocks["pid"]
+    block = block_of("pid")
     e = np.concatenate([np.full((20_000, 4), 3e-4), np.full((2000, 4), -2e-6)])
     limited = (run_of(block, e).status & LIMITED) > 0
     naive = (run_of(replace(block, unwind=0 * block.unwind), e).status & LIMITED) > 0
@@ -268,24 +276,24 @@ def test_states_decay_to_zero_not_to_denormal_numbers():
     assert (x[block.winding :] == 0).all()
 
 
-def test_word_length_table_and_report(blocks):
-    rows = {row.bits: row for row in word_lengths(blocks["mu"])}
+def test_word_length_table_and_report():
+    rows = {row.bits: row for row in word_lengths(block_of("large"))}
     assert rows[53].gain_error == 0
     assert rows[8].gain_error > 10 * rows[16].gain_error > 100 * rows[24].gain_error > 0
-    text = generate(blocks["mu"], "fixed32")["rig_report.md"]
+    text = generate(block_of("large"), "fixed32")["rig_report.md"]
     assert text.count("\n| u_B_eta |") == 2  # limit and format
     assert "fixed point, 32 bits" in text
 
 
-def test_16_bits_refused_where_rounding_is_too_large(blocks):
+def test_16_bits_refused_where_rounding_is_too_large():
     with pytest.raises(
         InvalidInput, match=r"rounding error of u_\w+ with words of 16 bits is .* of its limit"
     ):
-        in_words(blocks["mu"], 16)
+        in_words(block_of("large"), 16)
 
 
-def test_fixed_point_that_overflows_is_refused(controllers):
-    block = build_block(deploy(controllers["mu"], 1e-4, force=True), "rig", ERROR, 1e-3)
+def test_fixed_point_that_overflows_is_refused():
+    block = build_block(deploy(controller("large"), 1e-4, force=True), "rig", ERROR, 1e-3)
     with pytest.raises(
         InvalidInput, match=r"fixed point overflows: an output adds up to .* words of 32 bits"
     ):

@@ -92,8 +92,14 @@ def record():
 
 
 @compiled
-@pytest.mark.parametrize("per_turn", [False, True])
-@pytest.mark.parametrize("currents", [False, True])
+@pytest.mark.parametrize(
+    ("currents", "per_turn"),
+    [
+        (False, True),
+        (True, False),
+        *(pytest.param(same, same, marks=pytest.mark.study) for same in (False, True)),
+    ],
+)
 def test_code_is_its_twin_to_1e12_over_a_run_up_with_faults(currents, per_turn):
     wanted = law(currents, per_turn)
     twin, code = SynchronousBlock(wanted), CompiledSynchronous(wanted)

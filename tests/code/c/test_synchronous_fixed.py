@@ -55,8 +55,14 @@ def counted(samples=None):
 
 
 @compiled
-@pytest.mark.parametrize("per_turn", [False, True])
-@pytest.mark.parametrize("currents", [False, True])
+@pytest.mark.parametrize(
+    ("currents", "per_turn"),
+    [
+        (False, True),
+        (True, False),
+        *(pytest.param(same, same, marks=pytest.mark.study) for same in (False, True)),
+    ],
+)
 def test_code_is_its_twin_to_the_last_bit_and_near_double(currents, per_turn):
     wanted = scaled(currents, per_turn)
     words = to_words(wanted, ERROR, CURRENT)

@@ -29,8 +29,15 @@ VERSIONS = ("2.0", "3.0")
 
 
 @compiler
-@pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize(("make", "rate"), [(small_schedule, 5e4), (pressure_schedule, 5e6)])
+@pytest.mark.parametrize(
+    ("version", "make", "rate"),
+    [
+        (VERSIONS[0], small_schedule, 5e4),
+        (VERSIONS[1], pressure_schedule, 5e6),
+        pytest.param(VERSIONS[0], pressure_schedule, 5e6, marks=pytest.mark.study),
+        pytest.param(VERSIONS[1], small_schedule, 5e4, marks=pytest.mark.study),
+    ],
+)
 def test_agrees_with_the_block_in_python(version, make, rate, tmp_path):
     block = block_of(make(), rate_limit=rate)
     path = tmp_path / "x.fmu"

@@ -45,7 +45,7 @@ def short(name, duration):
     [
         pytest.param("levitation", 0.2, M7, "double", marks=needs(M7)),
         pytest.param("levitation", 0.2, BIG, "float", marks=needs(BIG)),
-        pytest.param("power-loss", 0.2, M7, "float", marks=needs(M7)),
+        pytest.param("power-loss", 0.2, M7, "float", marks=[needs(M7), pytest.mark.study]),
         pytest.param("power-loss", 0.2, M7, "fixed32", marks=needs(M7)),
     ],
 )

@@ -60,7 +60,8 @@ def every():
                     ("fixed", "float", M7),
                     ("fixed", "double", BIG),
                 }
-                rare = name != M7
+                # of the others the double is what the float is, with other words
+                rare = name != M7 or (law != "fixed" and arithmetic == "double")
                 marks = [needs(name)]
                 marks += [pytest.mark.study] if rare and not quick else []
                 yield pytest.param(law, arithmetic, name, marks=marks)

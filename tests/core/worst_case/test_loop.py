@@ -168,13 +168,14 @@ def test_margin_beyond_all_bounds():
     assert proved_margin(loop, margin.factor).value > 19
 
 
-def test_margins_of_random_loops_enclose_the_truth():
+@pytest.mark.parametrize("count", [4, pytest.param(8, marks=pytest.mark.study)])
+def test_margins_of_random_loops_enclose_the_truth(count):
     """proved <= the smallest unstable scale of many random directions, and the search finds no
     larger one.
     """
     rng = np.random.default_rng(9)
     compared = 0
-    for _ in range(8):
+    for _ in range(count):
         loop = random_loop(rng, 2)
         margin = box_margin(loop)
         if not np.isfinite(margin.factor):
@@ -186,7 +187,7 @@ def test_margins_of_random_loops_enclose_the_truth():
         directions /= np.abs(directions).max(axis=1, keepdims=True)
         assert (eigenvalue_count(loop, 0.97 * margin.factor * directions) == 0).all()
         assert proved_margin(loop, margin.factor).value <= margin.factor
-    assert compared >= 6
+    assert compared >= 3 * count / 4
 
 
 def test_worst_gain_of_a_lag():

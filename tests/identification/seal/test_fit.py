@@ -29,6 +29,7 @@ from ambrose.model.uncertainty import free_mode_reduction, perturbed, uncertain
 from ambrose.record.record import Record
 from ambrose.rig import virtual_rig
 from ambrose.rig.scenario import Scenario, SteppedSine
+from coarse import coarse
 
 HZ = 2 * np.pi
 DT = 1e-4
@@ -48,7 +49,7 @@ ENTRIES = {
 @cache
 def rig():
     """The rig with less direct stiffness in its seal, which does nothing without pressure."""
-    machine = load_machine("seal-rig")
+    machine = coarse("seal-rig")
     return replace(machine, seals=(replace(machine.seals[0], K=0.1e6),))
 
 

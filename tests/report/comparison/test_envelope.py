@@ -291,7 +291,7 @@ def test_what_is_not_varied_is_counted_by_point_and_reason() -> None:
         f"{point} (P1): {name} (zero here)" for point in ("rest", "top") for name in ("K", "C")
     ] + ["top (P1): c (given)"]
     assert still(told) == [
-        "Parameters not varied (zero there): 2 at rest (P1), 2 at top (P1).",
+        "Tolerances without effect (coefficient is zero): 2 at rest (P1), 2 at top (P1).",
         "Not varied around top (P1): c (given).",
     ]
     assert still([]) == []

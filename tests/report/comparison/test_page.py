@@ -31,13 +31,14 @@ from ambrose.report.page import Cell, Page, Section, Table
 from ambrose.rig.trial import SCENARIOS, Candidate, points_of, simulate_linear
 from ambrose.synthesis.hinf import hinf_synthesis
 from ambrose.synthesis.mu import mu_synthesis
+from coarse import coarse
 
 POINTS = ("zero pressure", "nominal pressure", "twice nominal pressure")
 
 
 @pytest.fixture(scope="module")
 def rig() -> Machine:
-    return load_machine("seal-rig")
+    return coarse("seal-rig")
 
 
 @pytest.fixture(scope="module")

@@ -529,7 +529,9 @@ def test_a_slow_integrator_of_a_tuned_law_is_no_reason_to_search_anew():
     assert tuning._holding(job, law) is not law
 
 
-@pytest.mark.parametrize("name", ["vertical-pump", "process-compressor"])
+@pytest.mark.parametrize(
+    "name", ["vertical-pump", pytest.param("process-compressor", marks=pytest.mark.study)]
+)
 def test_the_first_round_goes_down(name):
     """It ended after one step, at 8.3 and 43 times a limit."""
     machine = amb.load_machine(name)

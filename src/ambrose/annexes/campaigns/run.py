@@ -665,7 +665,7 @@ def _fits(name: str, value: object) -> bool:
 
 def _foreign(path: Path) -> InvalidInput:
     return InvalidInput(
-        f"{path} holds a line that is no row of a campaign; move the file away to begin anew"
+        f"{path} contains a line that is no row of a campaign; move the file away to begin anew"
     )
 
 

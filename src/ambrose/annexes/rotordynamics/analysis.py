@@ -63,8 +63,8 @@ from ambrose.report.page import page_of, write
 
 
 REST = (
-    "Judged at every operating point of the machine file: stability and sensitivity, without "
-    "tolerances. ambrose verify judges the rest there: orbits, currents, forces, voltages and "
+    "Checked at every operating point of the machine file: stability and sensitivity, without "
+    "tolerances. ambrose verify checks the rest there: orbits, currents, forces, voltages and "
     "margins, and all of it over the tolerances."
 )
 
@@ -114,7 +114,7 @@ def point_rows(points: Points, machine: Machine) -> Iterator[Item]:
             "<=",
             0.0,
             False,
-            f"not judged at {labels}: outside the range of the controller's schedule",
+            f"not checked at {labels}: outside the range of the controller's schedule",
         )
     if not judged:
         return
@@ -182,7 +182,7 @@ def point_rows(points: Points, machine: Machine) -> Iterator[Item]:
         "Peak sensitivity, maximum singular value",
         ("sensitivity.output.max",),
         "Machine file",
-        "sensitivity_peak, asked of all axes together",
+        "sensitivity_peak, for all axes together",
         more=unstable,
     )
 

@@ -197,7 +197,7 @@ def print_comparison(result: Comparison) -> None:
         )
     if not result.compared:
         what = f"none of the {len(result.pairs)} rows has a partner" if result.pairs else "no row"
-        say(f"nothing was compared: {what}; see the remarks beside them, and their units")
+        say(f"no row was compared: {what}; see the remarks in the table, and check units")
         return
     if result.largest_percent is not None:
         say(f"largest difference {result.largest_percent:.3g} %")

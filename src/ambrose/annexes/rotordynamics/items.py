@@ -123,7 +123,7 @@ def unstable(where: str) -> Item:
         "-",
         passed=False,
         note=f"{where}; the rest of the analysis has no meaning on an unstable loop: design a "
-        "controller that holds it first",
+        "stabilising controller first",
     )
 
 
@@ -289,7 +289,7 @@ def _small(
         "um p-p",
         note=f"at {speeds} rpm; the value is the largest of them. Amplification factor below "
         f"{standard.CRITICALLY_DAMPED:g} or not known; too small to count as critical speeds "
-        f"(vibration limit {UM * limit:.3g} um p-p): not judged",
+        f"(vibration limit {UM * limit:.3g} um p-p): not checked",
     )
 
 
@@ -469,7 +469,7 @@ def level_one(one: LevelOne | None, density: float | None = None, why: str = "")
             one.border if met else one.end,
             "N/m",
             ">=",
-            note="not judged: no anticipated value, the machine file has no [[stage]]"
+            note="not checked: no anticipated value, the machine file has no [[stage]]"
             + (crossing if met else f"; {level_one_beyond(one)}"),
             bound="" if met else ">",
         )

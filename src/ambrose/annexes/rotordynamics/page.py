@@ -413,7 +413,8 @@ _BASIS = (
     "code and tutorials that quote it. Checked - a source at hand quotes the limit. Own - no "
     "clause of the standard, added here. p-p: peak to peak; 0-p: zero to peak."
 )
-_DECIDE = 7  # rows of the table that decides
+_DECIDE = 8  # rows of the table that decides
+_ABSENT = "not_covered."  # how names of clauses begin that are not computed
 _RESPONSE = (
     "Probe readings, peak to peak, with twice the residual unbalance placed for the mode named, "
     "and their phase lag in the direction of rotation, relative to a keyphasor at the angle of the "
@@ -497,13 +498,18 @@ def verdict_words(result: Lateral) -> str:
     have no known value.
     """
     judged = [item for item in result.items if item.passed is not None]
-    failed = [item.title for item in judged if not item.passed]
-    words = (
-        f"{len(failed)} of {len(judged)} requirements {'is' if len(failed) == 1 else 'are'} not "
-        f"met: {'; '.join(failed)}"
-        if failed
-        else f"All {len(judged)} requirements are met"
-    )
+    failed = [item for item in judged if not item.passed]
+    words = f"PASSED: all {len(judged)} requirements are met"
+    if failed:
+        worst = max(failed, key=_share)
+        value, limit = (cell.text for cell in numbers_of(worst))
+        words = (
+            f"FAILED: {len(failed)} of {len(judged)} requirements "
+            f"{'is' if len(failed) == 1 else 'are'} not met. Furthest beyond its limit: "
+            f"{worst.title}"
+        )
+        if worst.value is not None and worst.limit is not None:
+            words += f", {value} (limit {limit})"
     if unknown := [item.title for item in result.items if item.unjudged]:
         words += f". Not checked, value unknown: {'; '.join(unknown)}"
     return words
@@ -574,6 +580,8 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
         ("Operating point", f"{result.point}{_judged_elsewhere(result)}"),
         ("Speeds", running),
         ("Model", "finite-element rotor, all modes to 100 kHz; consistent mass"),
+        ("Standards", ", ".join(dict.fromkeys(_edition(item.standard) for item in result.items))),
+        ("Not covered", _not_covered(result)),
     )
     if result.density is not None:
         given = f"{result.density:.4g} kg/m³, mean, for the screening of Level I"
@@ -600,7 +608,10 @@ def deciding_table(result: Lateral) -> Table:
     """The requirements that are not met or have no known value, then those nearest to the limit."""
     judged = [item for item in result.items if item.passed is not None or item.unjudged]
     judged.sort(key=lambda item: (item.passed is True, -_share(item)))
-    rows = tuple((item.title, *_summary_row(item)[1:4]) for item in judged[:_DECIDE])
+    # the log decrement is asked for in any case
+    damped = [item for item in judged[_DECIDE:] if item.name.startswith("level_two")]
+    shown = [*judged[: _DECIDE - len(damped[:1])], *damped[:1]]
+    rows = tuple((item.title, *_summary_row(item)[1:4]) for item in shown)
     more = len(judged) - len(rows)
     note = f"{more} more requirements: summary sheet." if more else ""
     return Table("", ("Requirement, tightest first", "Verdict", "Value", "Limit"), rows, note)
@@ -708,12 +719,15 @@ def summary_table(result: Lateral, sections: Sequence[Section] = ()) -> Table:
     order.
     """
     places = _places(sections)
-    covered = [item for item in result.items if not item.name.startswith("not_covered.")]
-    absent = [item.title.lower() for item in result.items if item not in covered]
+    covered = [item for item in result.items if not item.name.startswith(_ABSENT)]
     rows = tuple((*_summary_row(item), _figure_of(item, places)) for item in covered)
     columns = ("Item", "Verdict", "Value", "Limit", "Edition and clause", "Basis", "Figure")
-    note = f"Not covered: {'; '.join(absent)}. {_BASIS}" if absent else _BASIS
-    return Table("Clause by clause", columns, rows, note)
+    return Table("Clause by clause", columns, rows, _BASIS)
+
+
+def _not_covered(result: Lateral) -> str:
+    """The clauses without a row of their own, for the head."""
+    return "; ".join(item.title.lower() for item in result.items if item.name.startswith(_ABSENT))
 
 
 def _places(sections: Sequence[Section]) -> dict[str, Cell]:
@@ -746,16 +760,21 @@ def _figure_of(item: Item, places: Mapping[str, Cell]) -> Cell:
 def _summary_row(item: Item) -> Row:
     mark = "none" if item.passed is None else "pass" if item.passed else "fail"
     word = "" if item.passed is None else "met" if item.passed else "not met"
-    unit = "" if item.unit == "-" else f" {_whole(item.unit)}"
-    value = "-" if item.value is None else f"{item.bound} {_number(item.value)}{unit}".strip()
-    limit = "-" if item.limit is None else f"{_relation(item.relation)} {_number(item.limit)}{unit}"
     return (
         Cell(item.title, detail=_whole(item.note)),
         Cell(word, mark),
-        *numbers(value, limit),
+        *numbers_of(item),
         Cell(_edition(item.standard), detail=_said_once(item)),
         item.basis,
     )
+
+
+def numbers_of(item: Item) -> tuple[Cell, ...]:
+    """Its value and its limit, with their unit."""
+    unit = "" if item.unit == "-" else f" {_whole(item.unit)}"
+    value = "-" if item.value is None else f"{item.bound} {_number(item.value)}{unit}".strip()
+    limit = "-" if item.limit is None else f"{_relation(item.relation)} {_number(item.limit)}{unit}"
+    return numbers(value, limit)
 
 
 def _said_once(item: Item) -> str:

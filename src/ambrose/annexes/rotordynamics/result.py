@@ -57,7 +57,7 @@ class Item:
             object.__setattr__(self, "passed", bool(self.passed))
         if self.passed and self.value is not None and not np.isfinite(self.value):
             object.__setattr__(self, "passed", None)
-            said = "; ".join(text for text in (self.note, "value not known, not judged") if text)
+            said = "; ".join(text for text in (self.note, "value not known, not checked") if text)
             object.__setattr__(self, "note", said)
 
     @property

@@ -223,8 +223,8 @@ def seal_terms(
             return [_force(term) for term in terms]
     remedy = "give operating points at pressures closer together, or the seal a smoother table"
     raise BentSeal(
-        f"seal {seal.name} is {off.max():.1%} off a polynomial of the pressure of degree "
-        f"{_MOST_POWERS}; {remedy}"
+        f"seal {seal.name} deviates by {off.max():.1%} from a polynomial of degree {_MOST_POWERS} "
+        f"in the pressure; {remedy}"
     )
 
 
@@ -567,7 +567,7 @@ def check_on_model(
             f"the worst of {len(pairs)} pairs, at {model.held[0] / 1e5:.4g} bar told as "
             f"{model.held[1] / 1e5:.4g} bar"
         )
-        title = "Largest output sensitivity while the pressure stands still, found, full plant"
+        title = "Largest output sensitivity at constant pressure, found by search, full plant"
         checks = [information("moving.frozen", title, model.full_gain, "-", at)]
         tell(f"proving the loop {label}, at up to {rate / 1e5:.4g} bar/s")
         value, words = prove_on_model(model, rate, error, tell)

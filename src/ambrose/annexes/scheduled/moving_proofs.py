@@ -251,10 +251,10 @@ def check_pressure(
         if frozen.stable
         else "unstable"
     )
-    title = "Largest output sensitivity while the pressure stands still, found"
+    title = "Largest output sensitivity at constant pressure, found by search"
     checks = [information("moving.frozen", title, frozen.gain, "-", where)]
     if not frozen.stable:
-        lost = judged_rate(wanted, rate, np.inf, "a pressure that stands still is unstable")
+        lost = judged_rate(wanted, rate, np.inf, "unstable at constant pressure")
         return Checks(span.label, False, (*checks, lost))
     tell(f"proving the loop {span.label}, at any speed")
     value, detail = _proof(loop, (), np.inf, tell)

@@ -636,7 +636,7 @@ def findings_of(history: SealHistory, pressure: float) -> tuple[tuple[str, ...],
                     findings.append(
                         f"{path} is {side} its range of {limit[0]:.4g} to {limit[1]:.4g} {unit} "
                         f"from {time[outside][0]:.2f} s "
-                        "on; what was proved within the tolerances does not hold there"
+                        "on; proofs over the tolerances do not apply from then on"
                     )
         trend = history.trend(i)
         if trend is not None and abs(trend[0]) > trend[1]:

@@ -418,8 +418,8 @@ def proved_on_cells(
         least = float(np.sqrt(found.x[-1]))
         rounding = search.rounding(X, least * (1 + _ROOMS[-1]))
         tell(
-            f"round {step + 1}: gain below {least:.4f} at {len(chosen)} of {len(search.entries)} "
-            "entries"
+            f"iteration {step + 1}: gain bound {least:.4f} from {len(chosen)} of "
+            f"{len(search.entries)} grid points"
         )
 
         # at every entry, a little above: at the least gamma the inequality holds with no slack

@@ -496,7 +496,7 @@ def forever(port: TwoPort) -> np.ndarray:
         # settled, and of the state at the end nothing comes back to the beginning
         if change < _STILL * size and np.abs(port.E).max() < 1e-6:
             return port.F
-    raise NumericalFailure("the cost does not settle: the loop hardly decays")
+    raise NumericalFailure("the cost does not settle: the loop has almost no damping")
 
 
 # Constant multipliers of moving parameters and their rates, found by cutting planes over the

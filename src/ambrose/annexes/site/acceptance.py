@@ -126,7 +126,7 @@ def judged_reach(
     hidden = ~told & (predicted >= np.maximum(_NEAR_PEAK * predicted.max(axis=0), high))
     at_peak = [
         f"the predicted peak of {name} at {omega[predicted[:, i].argmax()] / TWO_PI:.4g} Hz is "
-        "not told"
+        "not measured"
         for i, name in enumerate(names)
         if hidden[:, i].any()
     ]
@@ -523,8 +523,9 @@ def _of_response(
     )
     notes = (
         f"{len(omega)} lines of {len(response.paths)} responses; noise is stated for {stated}, the "
-        "scatter of the lines tells the others. Limits judge the outer end of the 95 % interval.",
-        "Responses hold no time signal: clipping, the currents beside the controller's and the "
+        "scatter of the lines tells the others. Limits apply to the outer end of the 95 % "
+        "interval.",
+        "Responses contain no time signal: clipping, the currents beside the controller's and the "
         "delay are not checked; accept from records for these.",
     )
     return replace(loop, checks=replace(loop.checks, checks=checks, notes=notes))
@@ -773,7 +774,7 @@ def _law_checks(both: Frf, K: np.ndarray, kind: str, timing: Timing) -> Iterator
     )
     off = np.median(left / np.linalg.norm(u[told], axis=(1, 2))[:, None], axis=0)
     value, best = float(off[timing.delay_samples]), int(np.argmin(off))
-    title = "Currents beside those of the controller file"
+    title = "Currents compared with those of the controller file"
     detail = (
         "median over the lines that tell; more: another controller, delay or sample rate ran, or "
         "currents at their limit"
@@ -791,7 +792,7 @@ def _law_checks(both: Frf, K: np.ndarray, kind: str, timing: Timing) -> Iterator
         if other
         else "no other delay agrees clearly better"
     )
-    title = "Samples of delay beside those told"
+    title = "Samples of delay compared with those stated"
     yield judge(
         "controller.delay",
         title,
@@ -956,7 +957,7 @@ def _checks(
         "Highest frequency measured",
         measured,
         "rad/s",
-        f"asked for: {highest / TWO_PI:.4g} Hz",
+        f"required: {highest / TWO_PI:.4g} Hz",
     )
 
     # not measured as high as asked, and still near the peak at the last lines: the peak may
@@ -999,7 +1000,7 @@ def _peak(
         f"95 %: {low.max():.3g} to {top:.3g}; predicted peak {predicted.max():.4g} at {at:.4g} Hz"
     )
     if not told.all():
-        beside += f"; {100 * share(omega, told):.3g} % of the band told"
+        beside += f"; {100 * share(omega, told):.3g} % of the band measured"
     detail = f"at {omega[k] / TWO_PI:.4g} Hz; {beside}"
     check = judge(name, title, top, "-", wanted, detail)
     met = None if check.limit is None else holds(top, check.relation, check.limit)

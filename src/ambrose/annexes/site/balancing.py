@@ -598,7 +598,7 @@ def balance(
         )
     if not any(name in r.signals for r in read for name in ("key", "angle")):
         notes.append(
-            "no record holds key or angle: its time zero is taken as the passage of the key mark"
+            "no record contains key or angle: its time zero is taken as the passage of the key mark"
         )
     sources = {
         source_of_currents(one.record, one.plant, controller) for one in (*runs, *with_weights)
@@ -627,8 +627,8 @@ def balance(
     covariance = first.covariance + spread
     if first.condition > ILL:
         notes.append(
-            f"the unknowns are hardly told apart (condition {first.condition:.3g}): add a record "
-            "at another speed, or use "
+            f"the unknowns are poorly distinguished (condition {first.condition:.3g}): add a "
+            "record at another speed, or use "
             "fewer planes"
         )
     if not first.runout_found:

@@ -252,8 +252,8 @@ class VectorCorrection(Presented):
         ]
         if self.leave_out:
             rows.append(
-                f"{' and '.join(self.leave_out)} can hardly be told from the other planes "
-                f"(condition {self.condition:.3g}): leave out"
+                f"{' and '.join(self.leave_out)} poorly distinguished from the other "
+                f"planes (condition {self.condition:.3g}): leave out"
             )
         return "\n".join(rows)
 
@@ -543,8 +543,8 @@ def balance_amplitudes(
     notes = [_NO_CURRENT if known else f"{_NO_CURRENT}; {_UNCHECKED}"]
     if first.condition > ILL:
         notes.append(
-            f"the unknowns are hardly told apart (condition {first.condition:.3g}): read another "
-            "speed, or use fewer planes"
+            f"the unknowns are poorly distinguished (condition {first.condition:.3g}): read "
+            "another speed, or use fewer planes"
         )
     if before is None and not free:
         what = "from the machine file" if R.any() else "zero, and balanced as if it were unbalance"

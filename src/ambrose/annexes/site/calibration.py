@@ -316,7 +316,7 @@ def _circle(
         x = fit.x
     if not pressed.any():
         notes.append(
-            "the record holds no currents, so that the compliance of the contact is in gain or "
+            "the record contains no currents, so that the compliance of the contact is in gain or "
             "clearance"
         )
 

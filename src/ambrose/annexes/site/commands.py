@@ -158,7 +158,7 @@ def balance(
     roll gives the run-out. With as many trial runs as planes, at the same speed, the influence
     coefficients are measured; without, they are the model's. Degrees count in the direction of spin
     from the key mark, which points along x when the signal key rises. Exit status 1: done, but the
-    planes are hardly distinguished, run-out is unknown, or the correction may not lower the
+    planes are poorly distinguished, run-out is unknown, or the correction may not lower the
     vibration;
     with --since: the unbalance has changed.
     """
@@ -291,7 +291,7 @@ def _weights(text: str, radii: dict[str, float]) -> dict[str, complex]:
     "--levitated",
     multiple=True,
     type=click.Path(path_type=Path),
-    help="A record of it levitated at rest (repeatable).",
+    help="A record of the levitated rotor at rest (repeatable).",
 )
 @click.option(
     "--find",
@@ -603,7 +603,7 @@ def frf(
 
 
 # a step's verdict: passed, failed, or nothing to judge
-_WORDS = {True: "holds", False: "does not hold", None: "for information"}
+_WORDS = {True: "passed", False: "failed", None: "for information"}
 
 
 @click.command()

@@ -407,7 +407,7 @@ def _doubts(loop: LoopFrf, point: OperatingPoint) -> Iterator[Finding]:
         if weak.mean() > _FEW:
             f = motion.omega[weak] / TWO_PI
             what = (
-                f"the response to {' with '.join(group)} is hardly known at {weak.sum()} of "
+                f"the response to {' with '.join(group)} is poorly known at {weak.sum()} of "
                 f"{len(weak)} lines"
             )
             evidence = (
@@ -431,7 +431,8 @@ def _notes(loop: LoopFrf, record: Record) -> Iterator[str]:
     for group in loop.together:
         if len(group) > 1:
             yield (
-                f"{' and '.join(group)} are driven alike: the response is to both together, per "
+                f"{' and '.join(group)} are driven by the same signal: the response is to both "
+                f"together, per "
                 "ampere of each"
             )
     driven = {name for group in loop.together for name in group}
@@ -439,7 +440,8 @@ def _notes(loop: LoopFrf, record: Record) -> Iterator[str]:
     missing = [axis for axis in axes if f"e_{axis}" not in driven]
     if not loop.commanded:
         yield (
-            "no u_<axis> in the records: open loop and plant are not told; record the controller's "
+            "no u_<axis> in the records: open loop and plant are not measured; record the "
+            "controller's "
             "currents, too"
         )
     elif any(len(group) > 1 for group in loop.together) or (

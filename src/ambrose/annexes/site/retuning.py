@@ -35,6 +35,7 @@ from ambrose.identification.pipeline import identify
 from ambrose.identification.responses import as_responses
 from ambrose.identification.result import LoopIdentification, Provenance
 from ambrose.judge.checks import Checks, Verification
+from ambrose.judge.controller_file import write_controller
 from ambrose.judge.measured import MEASURED, lines_of
 from ambrose.judge.result import Status, Synthesis, synthesis_of
 from ambrose.judge.verdict import verify_controller
@@ -50,6 +51,7 @@ from ambrose.model.static_load import residual_unbalance
 from ambrose.record.files import read_record
 from ambrose.record.record import Record
 from ambrose.record.response import Measured, Response, digest_of, usable
+from ambrose.record.response_files import write_response
 from ambrose.rig.scenario import Scenario, Unbalance
 from ambrose.rig.trace import Trace
 from ambrose.rig.trial import simulate_scenario
@@ -243,6 +245,7 @@ class Retuning(Presented):
 
 
 IDENTIFIED, CONTROLLER = "identified.toml", "controller.json"
+RUNNING = "running.json"  # beside what was measured while it ran
 SAME_ORDER = "same-order.json"  # what exceeds a limit with as many states as before
 CODE = "code"
 _PEAK = "sensitivity.output.max"
@@ -533,6 +536,7 @@ def _verified(chain: _Chain, law: Synthesis, *, tolerances: bool = True) -> Veri
         return verify_controller(
             done.machine,
             law,
+            axes=done.machine.group,
             tolerances=tolerances,
             everywhere=True,
             rate=timing.rate,
@@ -649,11 +653,31 @@ def method_like(running: Synthesis, timing: Timing) -> Tuned:
     )
 
 
+def _on_measured(chain: _Chain, plant: Plant, method: Tuned) -> Tuned:
+    """The method that tunes on the measured plant, too, where the responses are of all axes; they
+    and the controller that ran lie in the folder then.
+    """
+    try:
+        for response in chain.responses:
+            lines_of(usable(response, plant.axes, chain.timing.sample_time), plant.axes)
+    except InvalidInput:
+        return method  # single axes tell no plant
+    if not chain.responses:
+        return method
+    files = [chain.folder / f"measured-{k}.json" for k, _ in enumerate(chain.responses, 1)]
+    for path, response in zip(files, chain.responses, strict=True):
+        write_response(response, path)
+    running = chain.folder / RUNNING
+    if not running.exists():  # its date would make it another one
+        write_controller(running, chain.running)
+    return replace(method, measured=tuple(map(str, files)), running=str(running))
+
+
 def _tuned(chain: _Chain, plant: Plant) -> tuple[Synthesis, str]:
     """The new controller, with as many states as the running one where that meets what is asked
     for, else with as many as that takes; and how many. Raises NumericalFailure.
     """
-    method = method_like(chain.running, chain.timing)
+    method = _on_measured(chain, plant, method_like(chain.running, chain.timing))
     before = chain.running.controller.n_states
     path, fewer = chain.folder / CONTROLLER, chain.folder / SAME_ORDER
     if method.order is not None:
@@ -705,11 +729,11 @@ def _changed(chain: _Chain) -> None:
         after = _verified(chain, new)
     chain.made["after"] = after
     _say_measured(chain, "new measured", "The new controller on the measured plant", after)
-    title = "It holds over the identified intervals"
+    title = "It meets the requirements over the identified intervals"
     words = f"every limit is met: {figures(after)}" if after.passed else misses(after)
     if not chain.say("proved", title, after.passed, words):
         return
-    title = "The new controller beside the running one"
+    title = "The new and the running controller"
     chain.say("compared", title, None, _beside(chain.made["before"], after))
     if not _coded(chain, new, done.machine):
         return
@@ -792,7 +816,7 @@ def _switched(chain: _Chain, new: Synthesis, machine: Machine) -> None:
     point = done.outputs[0].record.point if done.outputs else done.result.point
     held = _holds(machine, before, point)
     if held is not None:
-        words = f"not tried: the running controller does not hold the identified machine {held}"
+        words = f"not tried: the running controller is unstable on the identified machine {held}"
         chain.say("switched", title, None, words)
         return
     runs = []

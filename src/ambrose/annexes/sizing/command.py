@@ -163,7 +163,11 @@ def _map(
                 else {"rate": timing.rate, "delay_samples": timing.delay_samples}
             )
             verified = verify_controller(
-                knee.machine, knee.synthesis, None, tolerances=True, progress=progress, **when
+                knee.machine,
+                knee.synthesis,
+                axes=knee.machine.group,
+                progress=progress,
+                **when,
             )
         failure = kept_page(result, output, verified, progress=progress)
         if machine_out is not None and knee is not None:

@@ -431,8 +431,8 @@ def _screened(
         )
     if any(item.doubt for item in operating_magnets(found)) or price.reserve < reserve:
         return (
-            f"static load: {price.reserve:.3g} times it are left at the largest current, "
-            f"{reserve:.3g} are asked"
+            f"static load: the force at the largest current is {price.reserve:.3g} times it, "
+            f"required {reserve:.3g}"
         )
 
     # the sensitivity that no controller avoids, given the unstable poles and the delay

@@ -43,7 +43,7 @@ _CONTOURS = (
 )
 _DRIVE = ("Turns", "Bias current", "Largest control current", "Inductance", "Voltage at top speed")
 _SOURCES = (
-    "the machine file's, over area and turns",
+    "scaled from the machine file's with area and turns",
     "of the air gaps alone, without leakage (assumed)",
 )
 _ASSUMED = (

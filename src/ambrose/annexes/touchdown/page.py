@@ -481,7 +481,7 @@ def verdict_text(result: Landing) -> str:
     decides = f"{worst.title} {_valued(worst.value, worst.unit)}, {worst.place}"
     decides += f" (limit {_valued(worst.limit or 0.0, worst.unit)})"
     if not failed:
-        return f"all {len(judged)} limits are met over {over}; nearest: {decides}"
+        return f"all {len(judged)} limits are met over {over}; tightest: {decides}"
     verb = "is" if len(failed) == 1 else "are"
     words = f"{len(failed)} of {len(judged)} limits {verb} not met over {over}"
     return f"{words}; {'furthest beyond its limit: ' if len(failed) > 1 else ''}{decides}"
@@ -560,7 +560,7 @@ def drop_section(result: Landing) -> Section:
     )
     down = result.down
     stands = f"{down.time:.4g} s" if np.isfinite(down.time) else "no time: nothing slows it"
-    note = f"After these {result.duration:.3g} s the rotor stands within {stands} (estimated)."
+    note = f"After these {result.duration:.3g} s the rotor stops within {stands} (estimated)."
     if result.recovery is not None:
         at, back = 1e3 * result.recovery.start, result.recovery.time
         found = f"free of contact {1e3 * back:.4g} ms later" if np.isfinite(back) else "not free"

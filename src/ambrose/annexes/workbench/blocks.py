@@ -85,7 +85,12 @@ def form(
     """Fields and buttons; live: the action that every change asks for; more: log, words as they
     were printed, and same, what does the same.
     """
-    own = {"fields": list(fields), "buttons": list(buttons), "live": live, "folded": folded}
+    known = list(fields)
+    # a button that needs one of no files cannot act, and says what is missing
+    empty = [item["label"] for item in known if item["kind"] == "choice" and not item["options"]]
+    if empty:
+        buttons = [{**item, "off": f"There is no {empty[0].lower()} yet"} for item in buttons]
+    own = {"fields": known, "buttons": list(buttons), "live": live, "folded": folded}
     return _block("form", key, title, hint=hint, tone=tone, **own, **more)
 
 
@@ -161,14 +166,16 @@ _MANY = 300_000  # letters of a picture that is left to the page itself
 
 
 def blocks_of(page: Page, width: int) -> list[Block]:
-    """Verdicts first, then every section; pictures that are no lines are left to the page."""
+    """The verdict first, then every section; pictures that are no lines are left to the page."""
     found = []
+    if page.result is not None:
+        passed = page.result.passed
+        tone = "" if passed is None else "good" if passed else "bad"
+        text = page.result.text[:1].upper() + page.result.text[1:]
+        found.append(words("verdict", text, tone=tone))
     if page.verdicts:
         rows = [(Cell(v.label, v.mark), v.text) for v in page.verdicts]
-        title = "Verdicts"
-        if page.result is not None:
-            title = page.result.text[:1].upper() + page.result.text[1:]
-        found.append(table("verdicts", rows_table(title, ("what", "verdict"), rows)))
+        found.append(table("verdicts", rows_table("Verdicts", ("what", "verdict"), rows)))
     for i, section in enumerate(page.sections):
         found += _pictures(f"section-{i}", section.figures, width)
         for k, known in enumerate(section.tables):

@@ -135,6 +135,18 @@ class Jobs:
         chosen = [job for job in reversed(self._jobs.values()) if every or job.words[0] in wanted]
         return [self._block(job) for job in chosen[: None if every else _SHOWN]]
 
+    def verdict(self, of: list[str]) -> blocks.Block:
+        """The newest result of some commands ("*": of all) in one sentence: a command's first."""
+        for job in reversed(self._jobs.values()):
+            if job.words[0] in of or "*" in of:
+                said = [line for line in self._log(job.name).splitlines() if line.strip()]
+                # stages are indented; a verdict is the first line that is not
+                known = next((line for line in said if line[:1].strip()), "")
+                if known and job.state not in _UNDER_WAY:
+                    tone = "good" if job.status == 0 else "bad"
+                    return blocks.words("verdict", f"{job.name}: {known}", tone=tone)
+        return blocks.words("verdict", "No result yet.", tone="muted")
+
     def ended(self) -> int:
         """How many jobs are over."""
         return sum(job.state not in _UNDER_WAY for job in self._jobs.values())
@@ -147,7 +159,7 @@ class Jobs:
             title += f", {(job.ended or time.time()) - job.begun:.0f} s"
         if job.status is not None:
             title += f", status {job.status}"
-            title += ": not all holds" if job.state == "done" and job.status else ""
+            title += ": a requirement is not met" if job.state == "done" and job.status else ""
         way = (
             blocks.button("Cancel", "/api/jobs/cancel", name=job.name)
             if runs

@@ -93,7 +93,7 @@ def why_lost(name: str, machine: Machine, controller: Synthesis) -> str:
     if held.stable:
         return ""
     return (
-        f"{name} does not hold the machine at {held.label}, {held.timing} "
+        f"{name} is unstable on this machine at {held.label}, {held.timing} "
         f"({held.abscissa:+.3g} 1/s); choose another one"
     )
 
@@ -151,7 +151,7 @@ class LiveSession:
         self._failed: list[str] = []
         self._recorded = ""
         self._strength = self.ranges.impulse
-        self._near = True
+        self._near = False
         nominal = self.machine.operation.nominal
         self._targets = {"speed": nominal.speed, "pressure": nominal.seal_pressure}
 
@@ -200,7 +200,7 @@ class LiveSession:
         middle = math.log10(self.ranges.impulse)
         strength = ("strength", "Strength of a knock", middle - 1.5, middle + 1.5, "N s", 1)
         pace = {**blocks.choice("pace", "Time", list(_PACES), self.pace), "action": "pace"}
-        near = blocks.field("near", "Zoom in", True, "check", action="near")
+        near = blocks.field("near", "Zoom in", self._near, "check", action="near")
         controllers = self._project.names("controllers")
         chosen = blocks.choice("controller", "Controller", controllers, self.controller)
         axis = blocks.choice("axis", "Axis", self.rig.axes)
@@ -263,6 +263,7 @@ class LiveSession:
             "recorded": self.rig.recorded,
             "record": self._recorded,
             "set": self._set(),
+            "able": self._able_to(told),
             "facts": self._facts(told),
             "warnings": self._warnings(told),
         }
@@ -279,6 +280,16 @@ class LiveSession:
             "pace": self.pace,
             "strength": self._strength,
             "near": self._near,
+        }
+
+    def _able_to(self, told: Frame) -> dict[str, bool]:
+        """By the text of a button, whether it does anything now."""
+        return {
+            "Drop": "all amplifiers" not in self._failed,
+            "Lift": bool(self._failed) or any(told.contact),
+            "Stop exciting": self._excited > 0,
+            "Record": self.rig.recorded is None,
+            "Stop recording": self.rig.recorded is not None,
         }
 
     def _facts(self, told: Frame) -> dict[str, str]:
@@ -572,7 +583,7 @@ class _Viewer:
             elif len(self.orders) < _WAITING:
                 self._write_down(_read(text))
             else:
-                await self.tell(refused="the rig is busy: wait until it has done what it was told")
+                await self.tell(refused="the rig is busy; wait for the last command")
 
     def _write_down(self, message: Any) -> None:
         """An order behind the others; a slider's replaces the one before it, unless something else

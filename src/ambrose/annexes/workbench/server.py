@@ -238,9 +238,7 @@ _TYPES = {
     ".css": "text/css; charset=utf-8",
     ".svg": "image/svg+xml",
 }
-ALL_JOBS = blocks.content(
-    [blocks.words("lead", "What was started on the other screens, the newest first.")], jobs=["*"]
-)
+ALL_JOBS = blocks.content([], jobs=["*"])  # what was started on the other screens
 _SERVED = (
     "another workbench serves this folder; open the address that it printed last, or end it first"
 )
@@ -285,6 +283,8 @@ def build(
         told = ALL_JOBS if name == "jobs" else await desk.ask(name, action, given)
         if told["whole"]:
             shown = [*told["blocks"], *jobs.shown(told["jobs"])]
+            if told["jobs"] and "verdict" not in [block["key"] for block in shown]:
+                shown.insert(0, jobs.verdict(told["jobs"]))
             told = {**told, "blocks": shown, "ended": jobs.ended()}
         return JSONResponse(told)
 
@@ -484,7 +484,7 @@ class _Http(H11Protocol):
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
         lines = [event.target, *(value for _, value in event.headers)]
         if len(lines) > _LINES or any(len(line) > _LINE or _CONTROL(line) for line in lines):
-            self.send_400_response("the handshake is too long or holds control characters")
+            self.send_400_response("the handshake is too long or contains control characters")
         else:
             super().handle_websocket_upgrade(event)
 

@@ -112,8 +112,8 @@ def told_of(block: Block, told: ArrayLike | None, count: int) -> np.ndarray | No
     found, size = np.asarray(told, float), (count, len(block.told))[: len(block.told)]
     if found.shape != size:
         raise InvalidInput(
-            f"the shape of what is told ({', '.join(block.told)}) is {found.shape}, but must be "
-            f"{size}, one for every sample"
+            f"the shape of the measured parameters ({', '.join(block.told)}) is {found.shape}, "
+            f"but must be {size}, one for every sample"
         )
     return found
 

@@ -598,7 +598,7 @@ def _no_responses(record: Record) -> Iterator[Finding]:
     few = record.sample_rate_hz / 2 < SEGMENT
     if driven and few:
         what = f"at {record.sample_rate_hz:g} Hz its channels cannot be checked"
-        evidence = f"half a second holds fewer than {SEGMENT} samples"
+        evidence = f"half a second has fewer than {SEGMENT} samples"
         remedy = "correct sample_rate_hz (its unit), or record all samples"
         yield Finding(Code.SAMPLE_RATE, WARNING, what, evidence, remedy)
 
@@ -753,7 +753,7 @@ def _no_trace(measured: Responses) -> list[Finding]:
     )
     if coherence >= measured.chance:
         return []
-    what = "the displacements hold no trace of the excitation"
+    what = "the displacements contain no trace of the excitation"
     evidence = (
         f"their coherence with it stays below {coherence:.2f}, and {measured.chance:.2f} would be "
         "chance"

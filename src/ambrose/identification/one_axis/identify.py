@@ -633,7 +633,7 @@ def _unusable(result: GenericIdentification, referenced: bool) -> Iterator[Findi
             Code.MIXED_CHANNELS,
             ERROR,
             "the reference answers the displacement",
-            f"it knows of the noise before it (chance {done.answering:.1g}), as the control error "
+            f"it depends on earlier noise (chance {done.answering:.1g}), as the control error "
             "or u do",
             "name the external signal as the reference, or state reference: none",
         )
@@ -645,7 +645,7 @@ def _unusable(result: GenericIdentification, referenced: bool) -> Iterator[Findi
             "needed; what noise drives tells the controller (-1/K), not the plant"
         )
         yield Finding(
-            Code.NO_EXCITATION, ERROR, "hardly anything drives the loop", evidence, _DRIVE_IT
+            Code.NO_EXCITATION, ERROR, "the loop has almost no excitation", evidence, _DRIVE_IT
         )
         return
     if referenced and result.pole > 0 and not result.coherence_in_band > result.chance:
@@ -773,7 +773,7 @@ def _why(done: Estimate) -> str:
             f"{100 * done.follows_share:.2g} % of it)"
         )
     if done.answering < ANSWERS:
-        reasons.append(f"the reference knows of its residual before it ({done.answering:.1g})")
+        reasons.append(f"the reference depends on earlier residuals ({done.answering:.1g})")
     if done.agree is not None and done.agree < LEVEL:
         reasons.append(f"with and without a noise model it is another plant ({done.agree:.1g})")
     return "; ".join(reasons)

@@ -479,7 +479,7 @@ def warnings_of(
                     "too, or excite it more"
                 )
             yield Finding(
-                Code.HARDLY_VISIBLE, WARNING, what, "hardly visible in these records", remedy
+                Code.HARDLY_VISIBLE, WARNING, what, "barely visible in these records", remedy
             )
     known = np.sqrt(np.diag(covariance)) <= _TOLD * np.abs(minimum.x)
     for i, j in zip(*np.nonzero(np.triu(np.abs(correlation) > _ALIKE, 1)), strict=True):
@@ -547,7 +547,7 @@ def verdict_of(tests: Sequence[ResidualTest], converged: bool = True, lacking: s
             else ""
         )
         parts.append(
-            "the residuals hold no trace of the excitation: the model explains all that the "
+            "the residuals contain no trace of the excitation: the model explains all that the "
             f"records tell (99 %{share})"
         )
     return "; ".join([*parts, lacking] if lacking else parts)

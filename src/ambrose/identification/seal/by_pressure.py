@@ -507,8 +507,8 @@ class SealByPressure:
         top, sentences = float(self.fit.pressure.max()), []
         if self.highest > top * (1 + 1e-9):
             sentences = [
-                f"the lines of seal {self.fit.seal} go on to {self.highest:g} Pa; the highest "
-                f"pressure measured is {top:g} Pa"
+                f"seal {self.fit.seal} is extrapolated to {self.highest:g} Pa; the highest "
+                f"measured pressure is {top:g} Pa"
             ]
         sentences += [
             f"seal {self.fit.seal} {item.what}: {item.evidence}"

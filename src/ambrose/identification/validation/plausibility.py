@@ -106,7 +106,7 @@ def compare(result: Estimate, other: Machine) -> tuple[Agreement, ...]:
             )
     if not rows:
         raise InvalidInput(
-            "only delays were identified; a machine file holds nothing to compare them with"
+            "only delays were identified; a machine file has nothing to compare them with"
         )
     return tuple(rows)
 

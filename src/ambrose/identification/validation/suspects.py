@@ -531,20 +531,14 @@ def judged(
     k = int(relative.max(axis=0).argmax())
     effect = float(relative[:, k].max())
     named = causes(suspected)
-    moved = (
-        f"the values move by up to {100 * effect:.2g} % ({result.paths[k]}), which the intervals "
-        "hold"
-    )
+    moved = f"the values by up to {100 * effect:.2g} % ({result.paths[k]})"
     if not effect:
-        moved = "no value moves by more than its standard deviation, and the intervals hold that"
+        moved = "no value by more than its standard deviation"
         if (moves > result.standard_deviations).any():
-            moved = (
-                "what moves is no more than the rest of the magnets' nonlinearity may make, and "
-                "the intervals hold that"
-            )
+            moved = "the values by no more than the magnets' nonlinearity explains"
     lacking = (
-        f"one more unknown would explain a part of what is left, the likeliest first: {named}; "
-        f"with it {moved}"
+        f"one more unknown would explain a part of the residuals, the likeliest first: {named}; "
+        f"it would change {moved}, which the intervals include"
     )
     verdict = verdict_of(result.tests, result.converged, lacking)
     warnings = [finding for finding in result.warnings if finding.code != Code.RESIDUALS]

@@ -109,7 +109,7 @@ def rotor_of_ross(document: Mapping[str, Any], name: str) -> RotorModel:
         assumed["rotor"] = f"not taken over from the model of ROSS: {'; '.join(unread[:8])}{rest}"
     if left:
         names = ", ".join(left[:8]) + (f" and {len(left) - 8} more" if len(left) > 8 else "")
-        assumed["seal"] = f"the model of ROSS also holds {names}: left out"
+        assumed["seal"] = f"the ROSS model also contains {names}: left out"
     version = document.get("ross_version", "unknown")
     speed = (
         document.get("parameters", {}).get("rated_w")

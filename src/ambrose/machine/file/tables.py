@@ -121,7 +121,7 @@ class ToleranceTable(Table):
     relative: Ratio = optional("half-width as a fraction of the nominal value")
     absolute: float = optional("half-width in the parameter's own unit")
     around: Annotated[tuple[str, ...], Texts()] = optional(
-        "labels of the operating points around which it holds; default: every one"
+        "labels of the operating points around which it applies; default: every one"
     )
 
     @field_validator("absolute", mode="plain", json_schema_input_type=float | str)

@@ -390,7 +390,7 @@ def chain(machine: MachineDescription) -> Iterator[str]:
     for element in machine.chain:
         where = f"[[chain]] {element.name}"
         if element.name in seen:
-            yield f"{where}: the name stands there twice; give every element one of its own"
+            yield f"{where}: the name is listed twice; give every element one of its own"
         seen.add(element.name)
         if element.kind not in CHAIN_KINDS:
             known = f"one of {', '.join(CHAIN_KINDS)}"

@@ -183,7 +183,7 @@ def _rings(where: str, contact: Touchdown) -> Iterator[str]:
         return
     inside = f"{where}, [bearing.touchdown.limits]"
     keys = ("landings", "max_force", "temperature", "energy", "static_factor")
-    yield from not_positive(inside, limits, "leave it out where it is not judged", *keys)
+    yield from not_positive(inside, limits, "leave it out where it is not checked", *keys)
     capacity = None if contact.race is None else contact.race.static_capacity
     if limits.static_factor is not None and capacity is None:
         yield (
@@ -461,7 +461,7 @@ def _coefficients(where: str, bearing: MagneticBearing) -> Iterator[str]:
         yield from _signs(inside, row)
         if row.bias_current in currents[:i]:
             yield (
-                f"{inside}: bias_current {row.bias_current:g} A stands there twice; keep one row "
+                f"{inside}: bias_current {row.bias_current:g} A is listed twice; keep one row "
                 "per bias current"
             )
 
@@ -626,7 +626,7 @@ def supports(machine: MachineDescription) -> Iterator[str]:
         where = f"[[casing_mode]] {i + 1}"
         yield from _named(where, "at", mode.at, [*bearings, *seals])
         yield from not_positive(
-            where, mode, "a mode of a casing that stands somewhere", "frequency", "mass"
+            where, mode, "a mode of a casing with a foundation", "frequency", "mass"
         )
         yield from not_positive(
             where, mode, "a casing takes energy and gives none", "damping", zero=True

@@ -95,7 +95,7 @@ def gas_flow(
         )
     except (InvalidInput, NumericalFailure) as error:
         cold = celsius_for_kelvin(geometry)
-        text = f"{cold} (as it stands, {error})" if cold else str(error)
+        text = f"{cold} (unchanged, {error})" if cold else str(error)
         raise type(error)(f"{where}: {text}") from error
 
 
@@ -203,7 +203,7 @@ def coefficients(
         result = replace(result, **gas_coefficients(seal, pressure, speed, point["frequency"]))
     if not seal.scales_with_pressure:
         return result
-    remedy = "give the pressure [Pa] at which its coefficients hold"
+    remedy = "give the pressure [Pa] of its coefficients"
     if seal.reference_pressure is None:
         raise invalid(
             f"the reference_pressure of seal {seal.name}",

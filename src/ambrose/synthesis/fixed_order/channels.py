@@ -8,7 +8,7 @@ K)^-1 both are affine in Q.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_banded
@@ -18,6 +18,7 @@ from ambrose.core.aliasing import FastModes, fast_modes
 from ambrose.core.frequency import SchurForm, evaluate, frequency_response, schur_form
 from ambrose.core.sampling import c2d, delayed, hold
 from ambrose.core.statespace import StateSpace, balance_system, select
+from ambrose.judge.measured import MEASURED
 from ambrose.law.loop import Timing
 from ambrose.machine.criteria import CLEARANCE, SENSITIVITY, demand
 from ambrose.machine.criteria import CURRENT_PULSE as PULSE
@@ -197,7 +198,8 @@ class LoopModel:
 
     magnet: k_i (a,) [N/A] and k_s (a,) [N/m]. speed [rad/s]: of the operating point. fast: the
     plant's modes above half the sample rate in these states, right (N, h), left (h, N); None
-    without any.
+    without any. off: omega (w,) [rad/s] and by how much a measured plant is off this one there (w,
+    a, a), with hold and delay; responses are then the measured plant's, poles the model's.
     """
 
     label: str
@@ -210,13 +212,30 @@ class LoopModel:
     timing: Timing | None
     speed: float
     fast: FastModes | None = None
+    off: tuple[np.ndarray, np.ndarray] | None = None
 
     def response(self, omega: np.ndarray) -> np.ndarray:
         """u, f -> y, q, i at omega (w,) [rad/s]: (w, 3a, 2a), with hold and delay on u."""
         P = evaluate(self.form, 1j * omega)
         if self.timing is not None:
             P[:, :, : P.shape[1] // 3] *= lateness(omega, self.timing)[:, None, None]
+        if self.off is not None:
+            at, more = self.off
+            a = more.shape[1]
+            for i, j in np.ndindex(a, a):  # straight between lines, nothing where none is
+                P[:, i, j] += np.interp(omega, at, more[:, i, j], left=0.0, right=0.0)
         return P
+
+    def as_measured(self, omega: np.ndarray, G: np.ndarray) -> LoopModel:
+        """The same whose responses u -> y are those of a measured plant G (w, a, a) at omega (w,)
+        [rad/s], with the hold and without the delay of a sampled loop.
+        """
+        a, G = G.shape[1], G.copy()
+        if self.timing is not None:
+            late = self.timing.sample_time * self.timing.delay_samples
+            G *= np.exp(-1j * omega * late)[:, None, None]
+        off = G - self.response(omega)[:, :a, :a]
+        return replace(self, label=f"{self.label}{MEASURED}", off=(omega, off))
 
 
 def loop_model(plant: Plant, timing: Timing | None, label: str = "") -> LoopModel:

@@ -38,6 +38,9 @@ _BELOW = 0.95  # of half the rate: the fastest pole of a filter bank
 _ABOVE = 1.2  # times the highest bending mode of the models: there the grid ends at least
 # loop gain of a mode that is kept; modes above the others that are looked at
 _HEARD, _LISTENED = 0.15, 12
+# (number of the operating point, omega (w,) [rad/s], G (w, a, a)) of each measured plant, with hold
+# and without delay
+MeasuredPlants = Sequence[tuple[int, np.ndarray, np.ndarray]]
 Law = StateSpace | PidSettings  # what is tuned: matrices, or the chains of a filter bank
 
 
@@ -59,6 +62,7 @@ class Job:
     most_states: int | None = None  # the order may grow to so many
     narrowed: bool = False  # the unknowns are those of the structure that was asked for
     extra: list[float] = field(default_factory=list)  # frequencies of true peaks [rad/s]
+    measured: MeasuredPlants = ()
     members: set[tuple[str, tuple[tuple[str, float], ...]]] = field(default_factory=set)
 
 
@@ -72,6 +76,7 @@ def prepare(
     reference: StateSpace | None,
     time_limit: float,
     progress: Callable[[str], None] | None,
+    measured: MeasuredPlants = (),
 ) -> Job:
     """What is tuned; arguments as of ``tune_controller``. Raises InvalidInput."""
     full = tuple(plants)
@@ -130,14 +135,31 @@ def prepare(
         timing,
         aims,
         axis_groups(machine, "plane" if structure == "free" else structure),
-        [loop_model(plant, timing) for plant in small],
+        loop_models(small, timing, measured),
         TimeLimit(time_limit),
         progress or (lambda _: None),
         reference,
         fastest,
         structure,
         len(start.inputs) * _MOST_PER_AXIS if order is None and structure not in BANKS else None,
+        extra=[peak for _, omega, G in measured for peak in _largest(omega, G)],
+        measured=measured,
     )
+
+
+def loop_models(
+    plants: Sequence[Plant], timing: Timing | None, measured: MeasuredPlants
+) -> list[LoopModel]:
+    """The models of plants, then of those that were measured."""
+    models = [loop_model(plant, timing) for plant in plants]
+    return models + [models[k].as_measured(omega, G) for k, omega, G in measured]
+
+
+def _largest(omega: np.ndarray, G: np.ndarray) -> list[float]:
+    """Where a measured plant (w, a, a) has its maxima [rad/s]: resonances beside any model's."""
+    size = np.linalg.norm(G, axis=(1, 2))
+    inner = size[1:-1]
+    return omega[1:-1][(inner > size[:-2]) & (inner > size[2:])].tolist()
 
 
 def as_system(law: Law, machine: Machine) -> StateSpace:

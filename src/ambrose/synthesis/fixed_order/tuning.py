@@ -49,8 +49,10 @@ from ambrose.synthesis.fixed_order.job import (
     HOLDS,
     Job,
     Law,
+    MeasuredPlants,
     as_system,
     first_laws,
+    loop_models,
     prepare,
     with_states,
 )
@@ -196,6 +198,7 @@ def tune_controller(
     reference: StateSpace | None = None,
     time_limit: float = 120.0,
     progress: Callable[[str], None] | None = None,
+    measured: MeasuredPlants = (),
 ) -> Synthesis:
     """The controller that comes nearest to meeting every requirement at every one of ``plants``, or
     exceeds them all the most.
@@ -207,7 +210,9 @@ def tune_controller(
     (every channel its own PID and low pass) or "filters" (and notches). bending_modes: per plane in
     the models that are tuned on (None: all below the frequency up to which sensitivity is judged,
     and one more). reference: a controller whose direct gains below 200 Hz are kept within 8 % rms
-    (None: free). time_limit [s] of computing.
+    (None: free). time_limit [s] of computing. measured: (number of the plant, omega (w,) [rad/s], G
+    (w, a, a) with hold and without delay) of those that were measured, which join the models; only
+    their responses are theirs, poles and forces are the model's.
 
     The tolerances around each point are those of the machine. ``gamma`` is the largest ratio of a
     requirement to its limit on the full plants, and on the reduced models of the worst corners
@@ -215,7 +220,16 @@ def tune_controller(
     of this order holds. Raises InvalidInput, NumericalFailure where nothing holds every point.
     """
     job = prepare(
-        plants, start, timing, order, structure, bending_modes, reference, time_limit, progress
+        plants,
+        start,
+        timing,
+        order,
+        structure,
+        bending_modes,
+        reference,
+        time_limit,
+        progress,
+        measured,
     )
     law, *otherwise = first_laws(job, start, order, structure)
     found = tuned(job, law, structure, otherwise=otherwise)
@@ -425,8 +439,8 @@ def _holding(job: Job, law: Law, enough: float = HOLDS) -> Law:
         before = abscissa
         if attempt == 0:
             job.say(
-                f"the start does not hold every model ({abscissa:+.3g} rad/s): looking for one "
-                "that does"
+                f"the start is not stable on every model ({abscissa:+.3g} rad/s): searching for "
+                "one that is"
             )
         if isinstance(law, StateSpace):
             cost.fence = limit
@@ -596,7 +610,7 @@ def _best(job: Job, rounds: list[_Round]) -> _Round:
     """The round that does best on all models by the end, members included, and on the full
     plants.
     """
-    full = [loop_model(plant, job.timing) for plant in job.full]
+    full = loop_models(job.full, job.timing, job.measured)
     best = _Round(rounds[-1].law, {})
     for known in sorted(rounds, key=lambda item: item.worst):
         if known.worst >= best.worst:
@@ -767,7 +781,8 @@ def _result(
             remedy = f"up to {tried} states were tried, relax a requirement"
         notes.append(f"not met with {controller.n_states} states: {', '.join(missed)}; {remedy}")
     notes += [
-        f"a guard of the search binds, no requirement: {words} ({ratios[name].value:.3f} of it)"
+        f"the tightest limit is a guard of the search, no requirement: {words} "
+        f"({ratios[name].value:.3f} of it)"
         for name, words in guards.items()
         if ratios[name].value >= _BINDS
     ]

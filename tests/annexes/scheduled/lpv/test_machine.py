@@ -32,7 +32,7 @@ HZ = 2 * np.pi
 
 @pytest.fixture(scope="module")
 def plant():
-    machine = load_machine("turboexpander")
+    machine = coarse("turboexpander")
     return assemble(
         machine, next(p for p in machine.operation.points if p.label.startswith("140 Hz"))
     )

@@ -300,7 +300,14 @@ def test_a_rectangle_costs_no_less_than_its_edges_and_holds_between(rectangle):
     assert "linear in each parameter" in rectangle.notes[1]
 
 
-@pytest.mark.parametrize("rate", [None, (1.0, None), (None, 0.5), (1.0, 0.5)])
+@pytest.mark.parametrize(
+    "rate",
+    [
+        None,
+        *(pytest.param(r, marks=pytest.mark.study) for r in ((1.0, None), (None, 0.5))),
+        (1.0, 0.5),
+    ],
+)
 def test_gain_while_two_parameters_move_is_below_gamma(rectangle, rate):
     """Random motions as fast as was allowed: jumps where no rate was given, steps at the largest
     rate where one was.

@@ -116,7 +116,9 @@ def test_stiffness_and_damping_apart():
     ("path", "kind"),
     [
         ("bearing.A.force_per_current.zeta", "force_per_current"),
-        ("bearing.B.negative_stiffness.eta", "negative_stiffness"),
+        pytest.param(
+            "bearing.B.negative_stiffness.eta", "negative_stiffness", marks=pytest.mark.study
+        ),
         ("amplifier.natural_frequency", "amplifier"),
     ],
 )

@@ -279,7 +279,7 @@ def test_one_hold_on_the_rig_falls_by_30_db_and_tells_93_percent_of_the_unbalanc
     blocks = running_law(design.blocks, rig_loop)
     sampled = rig_loop.controller(rig_loop.plant(800.0, REST))
     weights = (Unbalance("upper", 40e-6), Unbalance("lower", 28e-6, phase=1.0))
-    scenario = Scenario("hold", 3.5, unbalances=weights, speed=800.0)
+    scenario = Scenario("hold", 2.4, unbalances=weights, speed=800.0)
     program = synchronous_program(
         machine, sampled, blocks, scenario, block=CompiledSynchronous(blocks)
     )
@@ -292,9 +292,9 @@ def test_one_hold_on_the_rig_falls_by_30_db_and_tells_93_percent_of_the_unbalanc
         x = trace.record[signal][inside]
         return abs(2 * np.mean(x * np.exp(-800j * time[inside])))
 
-    before, after = tone("i_upper_zeta", 0.02, 0.1), tone("i_upper_zeta", 2.5, 3.4)
+    before, after = tone("i_upper_zeta", 0.02, 0.1), tone("i_upper_zeta", 1.6, 2.3)
     assert 20 * np.log10(after / before) < -30
-    late = np.mean([a[0] for k, _, a, _ in program.history if k * sampled.dt > 2.5], axis=0)
+    late = np.mean([a[0] for k, _, a, _ in program.history if k * sampled.dt > 1.6], axis=0)
     found = unbalance_from_amplitudes(rig_loop, REST, [800.0], late[None])
     left = np.linalg.norm(found.moments - TRUE) / np.linalg.norm(TRUE)
     assert left < 0.07

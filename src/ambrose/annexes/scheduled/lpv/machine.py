@@ -384,8 +384,8 @@ def design_schedule(
         usual = max(one.of(p) for p in machine.operation.envelope)
         if high > _FAR * usual > 0:
             remedy = (
-                f"the highest of its operating points is {one.number(usual)}; is it in another "
-                "unit?"
+                f"the machine's highest operating point has {one.number(usual)}; check the unit "
+                "of the schedule"
             )
             raise invalid(
                 f"the highest {one.name} of the schedule",

@@ -169,7 +169,7 @@ def show_controllers(project: Project, given: Mapping[str, Any]) -> dict[str, An
     points = ["every point", *(plant.point.label for plant in plants)]
     at = blocks.choice("at", "Loci and curves at", points)
     hint = (
-        "The values of the machine file's [controller]; a decade to both sides. "
+        "Values of [controller] in the machine file; each slider covers a decade to both sides. "
         f"Compare with up to {_MOST - 1} controllers of the folder."
     )
     if machine.reference is None:
@@ -181,18 +181,20 @@ def show_controllers(project: Project, given: Mapping[str, Any]) -> dict[str, An
         "sliders",
         [*fields_of(settings, machine.axes), at, *compared, named],
         [
-            blocks.button("Judge on the full plant", "judge"),
+            blocks.button("Check on the full plant", "judge"),
             *turning,
             blocks.button("Save as controller", "save", main=True),
         ],
         f"PID of {machine.name}",
         live="look",
         hint=hint,
+        side=True,
     )
     methods = blocks.choice("method", "Method", CHOICES["method"], "tuned")
     design = blocks.form("design", [methods], [blocks.job("Design", "design")], "Design one")
     looked = _look(project, given)
-    return blocks.content([form, *looked["blocks"], design], jobs=["synthesize"])
+    verdict, *curves = looked["blocks"]
+    return blocks.content([verdict, form, *curves, design], jobs=["synthesize"])
 
 
 def _look(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -225,13 +227,30 @@ def _look(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     place = "" if len(wanted) > 1 or len(plants) == 1 else f" at {wanted[0]}"
     first = plants[0].bending_modes or 0
     modes = "mode" if first == 1 else "modes"
-    note = f"On the plant with {first} bending {modes} per plane; Judge asks the full one."
+    note = f"On the plant with {first} bending {modes} per plane, without tolerances."
     pictures = _pictures(shown, machine, width(given), place) if shown else []
     same = _same(machine, given, settings)
-    # what was judged of other values is no verdict on these
+    # a check of other values is no verdict on these
     return blocks.content(
-        [_table(seen, plants, note), *pictures, same], whole=False, gone=[*_VERDICTS, "campbell"]
+        [_verdict(seen[_SLIDERS]), _table(seen, plants, note), *pictures, same],
+        whole=False,
+        gone=[*_VERDICTS, "campbell"],
     )
+
+
+def _verdict(looks: Sequence[Glance]) -> Block:
+    """Of the sliders, at all operating points."""
+    lost = [look.stability.label for look in looks if not look.stability.stable]
+    worst = max(looks, key=lambda look: look.peak)
+    passed = all(look.passed for look in looks)
+    text = f"unstable at {', '.join(lost)}, on the reduced plant."
+    if not lost:
+        text = (
+            f"stable at all {len(looks)} operating points on the reduced plant; largest "
+            f"sensitivity of an axis {worst.peak:.3g} at {worst.stability.label}."
+        )
+    word = "PASSED" if passed else "FAILED"
+    return blocks.words("verdict", f"{word}: {text}", tone="good" if passed else "bad")
 
 
 def _chosen(project: Project, given: Mapping[str, Any]) -> list[str]:
@@ -329,15 +348,15 @@ def _judge(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     from ambrose.judge.verdict import verify_controller
 
     machine, result = _synthesis(project, given)
-    verified = verify_controller(machine, result, tolerances=False)
+    verified = verify_controller(machine, result, axes=machine.group, tolerances=False)
     overview = tables.overview_tables([checks for _, checks in verified.labelled])
     found = [
         blocks.table(key, replace(item, title=f"Full plant: {item.title}"))
         for key, item in zip(_VERDICTS, overview, strict=False)
     ]
-    return blocks.content(
-        found, whole=False, told=f"The loop that was judged is {verified.timing}."
-    )
+    told = "All requirements are met" if verified.passed else "Not all requirements are met"
+    told += f" on the full plant, without tolerances. Loop: {verified.timing}."
+    return blocks.content(found, whole=False, told=told)
 
 
 def _campbell(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:

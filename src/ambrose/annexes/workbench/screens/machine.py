@@ -66,14 +66,18 @@ def _seen(machine: Machine, given: Mapping[str, Any]) -> list[Block]:
     doubts = [(Cell("implausible", "fail"), doubt) for doubt in known["doubts"]]
     remarks = [(Cell("note", "muted"), remark) for remark in known["remarks"]]
     rows = [*doubts, *rows_of(known), *remarks]
+    verdict = "PASSED: no entry of the machine file is implausible."
+    if known["doubts"]:
+        verdict = f"IMPLAUSIBLE: {known['doubts'][0]}"
     return [
+        blocks.words("verdict", verdict, tone="bad" if known["doubts"] else "good"),
         blocks.picture("drawing", drawing, machine.name, machine.description),
         blocks.same(
             f"ambrose check {MACHINE}",
             f'machine = amb.load_machine("{MACHINE}")',
             "amb.plot(machine).show()",
         ),
-        blocks.table("check", blocks.rows_table("What check says", ("quantity", "value"), rows)),
+        blocks.table("check", blocks.rows_table("Properties", ("quantity", "value"), rows)),
     ]
 
 
@@ -190,11 +194,13 @@ def show_records(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     if names:
         known = blocks.choice("file", "Record", names, chosen)
         fields.append({**known, "action": "look"})
-    hint = "Records of the live rig stand here too. Other programs' files: MATLAB, TDMS, text, UFF."
+    hint = (
+        "Records of the live rig are listed, too. Files of other programs: MATLAB, TDMS, text, UFF."
+    )
     found = [blocks.form("files", fields, title="Records", hint=hint)]
-    if chosen:
-        found += _looked(project, chosen, width(given))
-    return blocks.content(found)
+    none = blocks.words("verdict", "No result yet: there is no record.", tone="muted")
+    first, *rest = _looked(project, chosen, width(given)) if chosen else [none]
+    return blocks.content([first, *found, *rest])
 
 
 def run_fields(project: Project) -> list[Block]:

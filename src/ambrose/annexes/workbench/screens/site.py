@@ -86,7 +86,7 @@ def show_acceptance(project: Project, given: Mapping[str, Any]) -> dict[str, Any
         "A record of the running machine with excitation on every axis, also from the live rig, "
         "and the controller that ran."
     )
-    buttons = [blocks.job("Measure and judge", "accept")]
+    buttons = [blocks.job("Measure and check", "accept")]
     form = blocks.form("accept", fields, buttons, "Accept the machine", hint=hint)
     same = blocks.same(
         f"ambrose accept {MACHINE} controllers/{controller} records/{record} -o reports/{_SIGNED}",
@@ -136,7 +136,7 @@ def show_retuning(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     made = project.names(_FOLDER)
     if _NEW in made:
         take = blocks.button("Take it", "take", main=True)
-        text = "It becomes a controller of this project; read first what was shown of it."
+        text = "It becomes a controller of this project. Read its page first."
         found.append(blocks.form("take", (), [take], "The new controller", hint=text))
     if _PAGE_RETUNING in made:
         found.append(blocks.page("page", project.path(_FOLDER, _PAGE_RETUNING), "What was done"))

@@ -45,7 +45,7 @@ def show_envelope(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     ]
     rate = machine.operation.pressure_rate
     hint = (
-        "Moving: give how fast it changes, for a proof while it does. "
+        "For a proof while pressure or speed changes, state the rate. "
         f"The file's pressure rate: {'none' if rate is None else quantity(rate, 'Pa')}."
     )
     form = blocks.form(
@@ -56,7 +56,7 @@ def show_envelope(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
             blocks.field("speed_rate", "Run-up [rad/s²]"),
         ],
         [blocks.job("Verify", "verify"), blocks.job("Map", "map")],
-        "Judge a controller",
+        "Check a controller",
         hint=hint,
     )
     controller = project.newest("controllers") or "pid.json"
@@ -66,7 +66,7 @@ def show_envelope(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
         f'verified = amb.verify("{MACHINE}", "controllers/{controller}")',
         "print(verified.passed)",
     )
-    wanted = blocks.rows_table("What is required", ("requirement", "value"), demands)
+    wanted = blocks.rows_table("Requirements", ("requirement", "value"), demands)
     written = project.names("reports")
     pages = [
         blocks.page(name, project.path("reports", name), title)
@@ -127,7 +127,7 @@ def _size() -> Block:
         blocks.field("biases", "Bias currents over the file's", "0.5, 0.7, 1"),
         blocks.field("rate", "Sample rate [Hz], default: the file's"),
     ]
-    hint = "The size with the least copper and iron is verified and stands in machines/sized.toml."
+    hint = "The size with the least copper and iron is verified and written to machines/sized.toml."
     button = blocks.job("Size", "size")
     return blocks.form("do-size", fields, [button], "Smaller magnets", hint=hint)
 
@@ -152,7 +152,7 @@ def _campaign(project: Project, machine: Machine) -> list[Block]:
         newest = max(plans, key=lambda name: project.path("plans", name).stat().st_mtime)
         chosen = blocks.choice("plan", "Plan", plans, newest)
         button = blocks.job("Compute", "campaign")
-        hint = "Rows are kept as they come: what was cancelled goes on where it was."
+        hint = "A cancelled campaign continues where it stopped."
         found.append(blocks.form("do-campaign", [chosen], [button], "The campaign", hint=hint))
     return found
 

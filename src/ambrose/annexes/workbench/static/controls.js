@@ -9,8 +9,8 @@ export function form(block, act) {
     return field(spec, () => action && act(action, values(), true), act);
   });
   const values = () => Object.fromEntries(fields.map((f) => [f.name, f.value?.()]));
-  const buttons = block.buttons.map((b) => button(b.text,
-    () => act(b.action, { ...values(), ...b.more }), { className: b.main ? "main" : "" }));
+  const buttons = block.buttons.map((b) => button(b.text, () => act(b.action, { ...values(), ...b.more }),
+    { className: b.main ? "main" : "", disabled: Boolean(b.off), title: b.off || "" }));
   const element = make("div", {}, make("p", { className: "muted" }, block.hint),
     make("div", { className: "fields" }, ...fields.flatMap(({ label }, i) => (block.fields[i].heading
       ? [make("h3", {}, block.fields[i].heading), label] : [label]))),
@@ -18,6 +18,8 @@ export function form(block, act) {
   if (block.same) element.append(sameAs(block.same));
   element.values = values;
   element.tell = (told) => fields.forEach((f) => f.tell?.(told[f.name] || ""));
+  // {text of a button: whether it can do anything now}
+  element.able = (now) => buttons.forEach((b) => { b.disabled = now[b.textContent] === false; });
   element.set = (now) => fields.forEach((f) => { if (f.name in now) f.set?.(now[f.name]); });
   return element;
 }
@@ -75,5 +77,5 @@ export function sameAs(lines) {
     const copy = button("Copy", copied, { ariaLabel: `Copy: ${name}` });
     return make("div", {}, make("div", { className: "buttons" }, name, copy), make("pre", {}, text));
   });
-  return make("details", { className: "same" }, make("summary", {}, "The same without this page"), ...blocks);
+  return make("details", { className: "same" }, make("summary", {}, "Command line and Python"), ...blocks);
 }

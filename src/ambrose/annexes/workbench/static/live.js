@@ -51,10 +51,12 @@ function build(place, rig, act) {
     watch.draw(head);
     if (!fresh) return;
     told = now;
-    forms.forEach((element) => element.set(head.set));
+    forms.forEach((element) => { element.set(head.set); element.able(head.able); });
     const words = { ...head.facts, frames: `${rate.toFixed(0)} a second` };
-    facts.replaceChildren(...Object.entries(words).map(([name, text]) =>
-      make("span", {}, `${name} `, make("b", {}, text))), make("b", { className: "bad" }, head.warnings));
+    const verdict = make("b", { className: head.warnings ? "bad" : "good" },
+      head.warnings || "the rotor levitates");
+    facts.replaceChildren(verdict, ...Object.entries(words).map(([name, text]) =>
+      make("span", {}, `${name} `, make("b", {}, text))));
   } };
 }
 
@@ -87,10 +89,11 @@ function orbit(rig, station, s, act) {
     const [half, unit] = [width / 2, (width / 2 - 4) / reach];
     path(g, 2, (i) => [0, width][i], () => half, ink.faint);
     path(g, 2, () => half, (i) => [0, width][i], ink.faint);
-    for (const [zone, share] of Object.entries(s < rig.bearings ? rig.zones : {})) {
-      const radius = share * rig.scale * unit;
+    for (const [i, [zone, share]] of Object.entries(s < rig.bearings ? rig.zones : {}).entries()) {
+      const [radius, turn] = [share * rig.scale * unit, 1.2 - 0.6 * i]; // names apart from each other
       if (radius < 1.4 * half) circle(g, half, half, radius, ink.warm, [4, 4]);
-      if (radius < half && radius > 20) write(g, zone, half + 0.707 * radius, half - 0.707 * radius + 4);
+      if (radius < half && radius > 20) write(g, zone, half + (radius + 6) * Math.cos(turn),
+        half - (radius + 6) * Math.sin(turn) + 4);
     }
     if (gap && gap * unit < 1.4 * half) circle(g, half, half, gap * unit, ink.limit);
     // two dozen points of a turn are enough
@@ -112,9 +115,13 @@ function orbit(rig, station, s, act) {
       g.lineWidth = 3;
       path(g, 2, (i) => half + i * arrow.x * half, (i) => half - i * arrow.y * half, ink.line2);
     }
+    const bar = rounded(reach / 5); // the scale of this station
+    g.lineWidth = 2;
+    path(g, 2, (i) => 8 + i * bar * unit, () => width - 8, ink.ink);
+    write(g, short(bar, "m"), 8, width - 13, "left", ink.ink);
     if (!fresh) return;
     const size = `${short(most, "m")}${head.contact[s] ? ", touching" : ""}`;
-    const textContent = `${station}: ${size}; edge ${short(reach, "m")}`;
+    const textContent = `${station}: ${size}${gap ? `; touchdown gap ${short(gap, "m")}` : ""}`;
     Object.assign(caption, { textContent, className: head.contact[s] ? "bad" : "" });
   }
   return { figure: make("figure", {}, element, caption), show };
@@ -134,7 +141,7 @@ function bars(element, rig, samples) {
     g.fillStyle = full ? ink.limit : ink.line;
     g.fillRect(X(low), y, Math.max(X(high) - X(low), 2), 10);
     path(g, 2, () => X(0), (i) => y - 2 + 14 * i, ink.muted);
-    const limit = rig.limits[a] ? `of ±${short(most, "A")}${full ? ", told the limit" : ""}` : "no limit";
+    const limit = rig.limits[a] ? `of ±${short(most, "A")}${full ? ", at the limit" : ""}` : "no limit";
     write(g, `${axis}: ${low.toFixed(2)} to ${high.toFixed(2)} A ${limit}`, 12, y - 5, "left", ink.ink);
   });
 }

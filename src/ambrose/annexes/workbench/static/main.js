@@ -3,6 +3,7 @@ import { ask, make, say } from "/static/page.js";
 import { live } from "/static/live.js";
 import { screen } from "/static/screen.js";
 
+const BESIDE = ["studies", "jobs"]; // no steps of the chain
 const OWN = { live }; // all others are described by the server
 let leave = null;
 
@@ -21,7 +22,12 @@ async function open() {
     document.getElementById("screens").replaceChildren(...state.screens.map(([key, text]) =>
       make("a", { href: `#${key}`, ...(key === name ? { ariaCurrent: "page" } : {}) }, text)));
     const mine = make("div", {});
-    place.replaceChildren(mine);
+    const chain = state.screens.filter(([key]) => !BESIDE.includes(key)); // in the order of the work
+    const step = chain.findIndex(([key]) => key === name);
+    const [next, text] = chain[step + 1] || [];
+    const where = step < 0 ? "" : `Step ${step + 1} of ${chain.length}: ${chain[step][1]}. `;
+    place.replaceChildren(make("p", { className: "muted" }, where,
+      ...(step >= 0 && next ? ["Next: ", make("a", { href: `#${next}` }, text)] : [])), mine);
     leave = await (OWN[name] || screen(name))(mine, state);
   } catch (error) { say(error.message, true); }
 }

@@ -68,6 +68,8 @@ export const path = (g, count, x, y, stroke, dash = []) => stroked(g, stroke, da
 export const circle = (g, x, y, radius, stroke, dash = []) =>
   stroked(g, stroke, dash, () => g.arc(x, y, radius, 0, 2 * Math.PI));
 
+export const [LEFT, RIGHT] = [62, 8]; // of a curve's axes [px]
+
 // 1, 2 or 5 times a power of ten, at least the value
 export function rounded(value) {
   const power = 10 ** Math.floor(Math.log10(Math.max(value, 1e-12)));
@@ -83,10 +85,10 @@ export function short(value, unit) {
   return `${Number((value / 10 ** power).toPrecision(3))} ${SIGNS[power]}${unit}`.trim();
 }
 
-// values a step apart from 0 on; axes: {x: [low, high], y: [low, high], log: whether y is, names, marks}
+// values a step apart from 0 on; axes: {x: [low, high], y: [low, high], log: whether y is, names, units, marks}
 export function curve(element, values, step, axes) {
   const { g, width, height } = begin(element);
-  const [left, right, top, bottom] = [50, 8, 8, 34];
+  const [left, right, top, bottom] = [LEFT, RIGHT, 8, 34];
   const scale = (range, log, from, to) => {
     const f = log ? (v) => Math.log10(Math.max(v, 1e-30)) : (v) => v;
     const [low, high] = range.map(f);
@@ -94,13 +96,13 @@ export function curve(element, values, step, axes) {
   };
   const X = scale(axes.x, false, left, width - right);
   const Y = scale(axes.y, axes.log, height - bottom, top);
-  ticks(axes.x, false, (width - left) / 70).forEach((v) => {
+  ticks(axes.x, false, (width - left) / 80).forEach((v) => {
     path(g, 2, () => X(v), (i) => [top, height - bottom][i], ink.faint);
-    write(g, short(v, ""), Math.min(X(v), width - 18), height - bottom + 14);
+    write(g, short(v, axes.units[0]), Math.min(X(v), width - 24), height - bottom + 14);
   });
   ticks(axes.y, axes.log, (height - bottom) / 30).forEach((v) => {
     path(g, 2, (i) => [left, width - right][i], () => Y(v), ink.faint);
-    write(g, short(v, ""), left - 5, Y(v) + 4, "right");
+    write(g, short(v, axes.units[1]), left - 5, Y(v) + 4, "right");
   });
   write(g, axes.names[0], (left + width) / 2, height - 4);
   write(g, axes.names[1], left + 5, top + 12, "left");

@@ -1,6 +1,6 @@
 // One signal over time from a trigger on, its spectrum, and spectra one below the other.
 import { form } from "/static/controls.js";
-import { canvas, curve, extent, ink, rounded } from "/static/plot.js";
+import { LEFT, RIGHT, canvas, curve, extent, ink, rounded } from "/static/plot.js";
 import { titled } from "/static/page.js";
 
 const KEPT = 8192; // samples
@@ -56,14 +56,14 @@ export function scope(rig) {
     const [low, high] = extent(y);
     const [middle, half] = [(low + high) / 2, rounded(Math.max((high - low) / 2, 1e-8))];
     curve(time, y, rig.dt, { x: [0, Number(shown.span)],
-      y: [middle - half, middle + half], names: ["time [s]", `[${unit}]`] });
+      y: [middle - half, middle + half], names: ["time", shown.signal], units: ["s", unit] });
     if (kept.length < LINES || last - seen < 0.24) return;
     seen = last;
     const amplitudes = spectrum(kept.subarray(-LINES), top);
     const [step, peak] = [1 / (LINES * rig.dt), rounded(Math.max(...amplitudes, 1e-8))];
     curve(lines, amplitudes, step, { x: [0, step * (top - 1)],
       y: [peak / 1e4, peak], log: true, marks: [head.speed / (2 * Math.PI)],
-      names: [`frequency [Hz]; dotted: the speed`, `peak [${unit}]`] });
+      names: ["frequency; dotted: the running speed", `${shown.signal}, peak`], units: ["Hz", unit] });
     waterfall(amplitudes, peak);
   }
 
@@ -75,8 +75,8 @@ export function scope(rig) {
     g.drawImage(fall, 0, 3);
     g.globalCompositeOperation = "source-over";
     g.fillStyle = ink.line;
-    for (let p = 50; p < width - 8; p += 2) {
-      const line = (at) => Math.round(((at - 50) / (width - 58)) * (amplitudes.length - 1)); // as above
+    for (let p = LEFT; p < width - RIGHT; p += 2) {
+      const line = (at) => Math.round(((at - LEFT) / (width - LEFT - RIGHT)) * (amplitudes.length - 1)); // as above
       const [from, to] = [line(p), Math.max(line(p + 2), line(p) + 1)];
       const level = 1 + Math.log10(Math.max(extent(amplitudes.subarray(from, to))[1], 1e-30) / peak) / 3;
       g.globalAlpha = Math.min(Math.max(level, 0), 1);

@@ -7,13 +7,13 @@ const cells = (tag, list) => make("tr", {}, ...list.map((cell) =>
 
 const DRAW = {
   words: (block) => make("p", { className: block.tone }, block.text),
-  table: (block) => make("div", { className: "wide" }, make("table", {},
+  table: (block) => make("div", { className: "wide", tabIndex: 0 }, make("table", {},
     make("thead", {}, cells("th", block.columns)),
     make("tbody", {}, ...block.rows.map((row) => cells("td", row)))),
     make("p", { className: "muted" }, block.note)),
   picture: (block) => {
     const svg = new DOMParser().parseFromString(block.svg, "image/svg+xml").documentElement;
-    return make("figure", { className: "wide" }, document.importNode(svg, true),
+    return make("figure", { className: "wide", tabIndex: 0 }, document.importNode(svg, true),
       make("figcaption", {}, block.caption));
   },
   page: (block) => make("div", {}, make("a", { href: block.src, target: "_blank" }, "Open it alone"),
@@ -25,8 +25,10 @@ const DRAW = {
 
 export const screen = (name) => async (place) => {
   const [shown, list] = [new Map(), make("div", { className: "blocks" }, "Looking …")];
+  const side = make("div", { className: "side" }); // what is turned stays in sight of its curves
   let [stamp, line, waiting, jobs, ended, left, wrong] = ["", Promise.resolve(), null, [], 0];
-  place.append(list);
+  place.className = name === "controllers" ? "beside" : "";
+  place.append(side, list);
   const run = async (by, to, values, quiet) => {
     try {
       const given = { stamp: shown.get(by)?.hides ? "" : stamp, width: list.clientWidth - 30 };
@@ -67,7 +69,8 @@ export const screen = (name) => async (place) => {
       panel.remove();
       shown.delete(key);
     }
-    told.blocks.forEach((block, i) => draw(block, by, !told.whole, shown.get(told.blocks[i - 1]?.key)));
+    told.blocks.forEach((block, i) => draw(block, by, !told.whole, shown.get(
+      told.blocks.slice(0, i).findLast((other) => !other.side === !block.side)?.key)));
     if (!quiet || told.told || wrong) say(told.told);
     wrong = false;
     place.dataset.computing = told.computing; // [ms], for who measures
@@ -83,7 +86,7 @@ export const screen = (name) => async (place) => {
     const panel = make(whole, { className: block.half ? "panel half" : "panel" }, block.title && title, body);
     const hides = had && replace(had.panel, panel, own);
     if (!had && before) before.panel.after(panel);
-    else if (!had) list.prepend(panel);
+    else if (!had) (block.side ? side : list).prepend(panel);
     shown.set(block.key, { text, body, panel, hides, extra });
   }
   const poll = async () => {
