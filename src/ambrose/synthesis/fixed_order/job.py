@@ -156,7 +156,7 @@ def loop_models(
 
 
 def _largest(omega: np.ndarray, G: np.ndarray) -> list[float]:
-    """Where a measured plant (w, a, a) has its maxima [rad/s]: resonances beside any model's."""
+    """Where a measured plant (w, a, a) has its maxima [rad/s]; its model may lack some."""
     size = np.linalg.norm(G, axis=(1, 2))
     inner = size[1:-1]
     return omega[1:-1][(inner > size[:-2]) & (inner > size[2:])].tolist()
