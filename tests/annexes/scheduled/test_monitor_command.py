@@ -101,7 +101,7 @@ def test_the_pressure_is_found_and_shown(place):
     )
     assert "Cost:" in (folder / "code" / "seal_monitor.h").read_text() and told["code"]
     page = (folder / "p.html").read_text()
-    assert told["paths"][0] in page and "the seal is within its range" in page
+    assert told["paths"][0] in page and "The seal is within its range: " in page
 
 
 def test_the_library_says_what_the_command_says(place):

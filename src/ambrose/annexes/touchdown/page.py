@@ -406,7 +406,7 @@ _HEADS = (
     "The heads of ISO 14839-5:2022, recalled from its published scope (its text was not at hand; "
     "it states no numeric limits), and where this page has something on them."
 )
-_WORDS = {"none": "for information", "pass": "holds", "fail": "fails"}
+_WORDS = {"none": "for information", "pass": "met", "fail": "not met"}
 _NO_MOUNT = " The machine file states no mount: the map shows what one would do."
 
 
@@ -446,7 +446,6 @@ def landing_page(result: Landing, *, date: str = "") -> Page:
     drawing = Figure("Rotor and its parts", machine_drawing(result.machine))
     sections = (
         Section("Rotor", "", (drawing,)),
-        Section("What landings cost", _COST, (), (cost_table(result),)),
         drop_section(result),
         *map(axial_section, result.along),
         *([] if result.campaign is None else [campaign_section(result)]),
@@ -467,6 +466,7 @@ def landing_page(result: Landing, *, date: str = "") -> Page:
         facts,
         date,
         result=Verdict("Result", result.passed, verdict_text(result)),
+        opening=Section("", tables=(cost_table(result),)),
     )
 
 
@@ -481,9 +481,9 @@ def verdict_text(result: Landing) -> str:
     decides = f"{worst.title} {_valued(worst.value, worst.unit)}, {worst.place}"
     decides += f" (limit {_valued(worst.limit or 0.0, worst.unit)})"
     if not failed:
-        return f"all {len(judged)} limits are met over {over}; tightest: {decides}"
+        return f"PASSED: all {len(judged)} limits are met over {over}; tightest: {decides}"
     verb = "is" if len(failed) == 1 else "are"
-    words = f"{len(failed)} of {len(judged)} limits {verb} not met over {over}"
+    words = f"FAILED: {len(failed)} of {len(judged)} limits {verb} not met over {over}"
     return f"{words}; {'furthest beyond its limit: ' if len(failed) > 1 else ''}{decides}"
 
 
@@ -527,7 +527,7 @@ def cost_table(result: Landing) -> Table:
         "Against the limits of the file",
         ("Place", "Quantity", "Value", "Limit", "Verdict"),
         rows,
-        "; ".join(notes),
+        " ".join((*(f"{note}." for note in notes), _COST)),
     )
 
 
