@@ -68,8 +68,8 @@ def play(block, e, told, valid=None):
 def test_agrees_with_the_block_in_python(make, rate):
     block = block_of(make(), rate_limit=rate)
     frozen = build_block(deploy(block.at(block.grid[1]), DT, DT, force=True), "k", ERROR, CURRENT)
-    e, valid = driver.adversarial(frozen, 2000)
-    told = adversarial_speeds(block, 2000)
+    e, valid = driver.adversarial(frozen, 1000)
+    told = adversarial_speeds(block, 1000)
     expected = run_of(block, e, told, valid)
     found, status = play(block, e, told, valid)
     assert np.abs(found - expected.currents).max() <= 1e-12 * CURRENT
