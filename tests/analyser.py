@@ -23,14 +23,14 @@ class Truth:
     rate: float
 
     @staticmethod
-    def of(file, rate, magnets=(0.0, 0.0), mode=0.0, casing=None, speed=0.0):
+    def of(file, rate, magnets=(0.0, 0.0), mode=0.0, casing=None, speed=0.0, modes=6):
         numbers = numbers_of(file)
         for bearing in numbers["bearings"]:
             for key, part in zip(("ki", "ks"), magnets, strict=True):
                 bearing[key] = np.asarray(bearing[key]) * (1 + part)
         for section in numbers["shaft"]:
             section["youngs_modulus"] *= (1 + mode) ** 2
-        rig = Rig(numbers, speed=speed, linear=True)
+        rig = Rig(numbers, speed=speed, modes=modes, linear=True)
         A, B, C = rig.A, rig.Bv, rig.Cy
         a = len(rig.axes)
         if casing is not None:

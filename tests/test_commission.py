@@ -21,6 +21,7 @@ from ambrose.chain.commissioning import commission, compile_controller
 from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.judge.controller_file import read_controller
 from ambrose.judge.plants import full_plants
+from ambrose.judge.result import pid_synthesis
 from ambrose.judge.verdict import verify_points
 from ambrose.machine.description import Tolerance
 from ambrose.machine.file.toml import machine_hash
@@ -30,7 +31,7 @@ from ambrose.report import page as document
 from ambrose.report.comparison import commissioning_section
 from ambrose.report.page import Page
 from ambrose.rig.trial import evaluate
-from ambrose.synthesis.pid import pid_synthesis
+from coarse import coarse
 from needs import needs
 
 LABELS = ("nominal pressure", "zero pressure")
@@ -39,7 +40,7 @@ LABELS = ("nominal pressure", "zero pressure")
 @pytest.fixture(scope="module")
 def machine():
     """The seal rig without its highest pressure, the seal's stiffness known to 20 %."""
-    rig = load_machine("seal-rig")
+    rig = coarse("seal-rig")
     points = tuple(point for point in rig.operation.points if point.label in LABELS)
     return replace(
         rig,
@@ -72,6 +73,8 @@ def directory(tmp_path_factory):
 def commissioned(plants, reference, directory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(stage, "METHOD", "pid")
+        # what the model may lack is looked for in tests of its own
+        patch.setattr("ambrose.identification.loop.suspects", lambda *given, **how: ())
         return commission(plants, reference, directory, lambda text: None)
 
 
@@ -152,6 +155,7 @@ def test_it_is_judged_as_it_runs(commissioned):
     assert commissioned.deployment.problems == ()
 
 
+@pytest.mark.usefixtures("values_alone")
 def test_a_second_run_takes_the_controller_up(
     commissioned, plants, reference, directory, monkeypatch
 ):

@@ -136,7 +136,9 @@ def test_the_target_takes_blocks_where_a_mat_file_refuses_them():
     target.check_beside()
     files = target.files(unit_of(), ())
     assert {"unit.st", "unit_run.st", "unit_run_test.st"} <= files.keys()
-    with pytest.raises(InvalidInput, match="'c', 'fmu' or 'st'; a MAT-file contains the linear law"):
+    with pytest.raises(
+        InvalidInput, match="'c', 'fmu' or 'st'; a MAT-file contains the linear law"
+    ):
         Mat(name="unit").check_beside()
 
 

@@ -136,7 +136,8 @@ def synthesize(
         raise invalid("--machine-file", str(machine_file), "left out for the thrust axis", remedy)
     claim(controller_file=output, machine_file=machine_file)
     # a peak names the point it is of: the worst one, which verify finds, is another
-    where, plant, thrust = "", None, None
+    thrust: Synthesis | None = None
+    where, plant = "", None
     with progress_shown(as_json) as progress:
         if narrowed() is None and block_options.base is None:
             for along in [*description.groups.values()][1:]:
@@ -546,6 +547,7 @@ def verify(
 
 def _say_what_decides(result: Verification, unproved: Sequence[str]) -> None:
     """The verdict, the table that decides, what fails in full, what was not checked, by kind."""
+    from ambrose.judge.result import OF_MACHINE
     from ambrose.report.tables import (
         deciding_table,
         deciding_verdict,
@@ -569,6 +571,9 @@ def _say_what_decides(result: Verification, unproved: Sequence[str]) -> None:
         if part.rows and note:
             say(note)
     say(f"The loop is {loop_in_words(result.timing)}.")
+    if OF_MACHINE in result.controller:
+        names = (part.partition(", SHA")[0] for part in result.controller.split("; "))
+        say(f"Controller: {'; '.join(names)}.")
     for checks in result.points:
         if checks.label.endswith(", measured"):
             say(" ".join((f"{checks.label[0].upper()}{checks.label[1:]}:", *checks.notes)))

@@ -106,6 +106,7 @@ def found(form="table"):
     return identify_seal(machine(), records(), controller(), form)
 
 
+@pytest.mark.usefixtures("values_alone")
 def test_bearings_come_from_the_records_without_pressure_and_the_seal_from_each():
     result = found().result
     assert result.point.seal_pressure == 0 and not any(
@@ -124,6 +125,7 @@ def test_bearings_come_from_the_records_without_pressure_and_the_seal_from_each(
     )
 
 
+@pytest.mark.usefixtures("values_alone")
 def test_a_table_follows_the_curve_and_survives_its_file():
     done = replace(found(), provenance=Provenance(("here",))).updated()
     made = loads_machine(dumps_machine(done.machine))
@@ -143,6 +145,7 @@ def test_a_table_follows_the_curve_and_survives_its_file():
     assert "Seal center, pressure by pressure" in done.comment
 
 
+@pytest.mark.usefixtures("values_alone")
 def test_a_line_says_that_the_points_are_none():
     lined = found("line")
     k = lined.to_dict()["seal"]["lines"]["k"]
@@ -158,6 +161,7 @@ def test_a_line_says_that_the_points_are_none():
     assert "go on to 300000 Pa; the highest pressure measured is 170000 Pa" in higher.comment
 
 
+@pytest.mark.usefixtures("values_alone")
 def test_without_a_calm_record_all_are_fitted_together():
     law = replace(machine(), seals=(replace(machine().seals[0], k=0.7 * 3.203e6),))
     inside = replace(
