@@ -31,12 +31,12 @@ from ambrose.identification.output_error.loop_model import over_weights
 from ambrose.identification.output_error.normal_equations import normal_equations
 from ambrose.identification.output_error.problem import FitOptions, build_experiment
 from ambrose.identification.parameters import expand, nominal_values
+from ambrose.judge.result import pid_synthesis
 from ambrose.law.loop import closed_loop
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.record.record import Record
-from ambrose.synthesis.pid import pid_synthesis
 from benchmarks import waveforms
 
 DT, PERIOD = 1e-4, 5110

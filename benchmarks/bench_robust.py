@@ -30,10 +30,10 @@ from ambrose.core.worst_case_loop import (
     unstable_poles,
 )
 from ambrose.judge import robust
+from ambrose.judge.result import pid_synthesis
 from ambrose.machine.parameters import operating_point
 from ambrose.model.assemble import assemble
 from ambrose.model.uncertainty import reduce
-from ambrose.synthesis.pid import pid_synthesis
 
 _EIGENVALUES, _RESPONSES = 16, 4  # points at which the peer is timed
 _GROWN = 3.0  # of the box, for the count: some of its points are unstable

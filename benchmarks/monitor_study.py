@@ -16,11 +16,11 @@ import numpy as np
 
 import ambrose as amb
 from ambrose.annexes.scheduled.seal_watch import monitor
+from ambrose.judge.result import pid_synthesis
 from ambrose.model.assemble import assemble
 from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.rig import virtual_rig
 from ambrose.rig.scenario import Prbs, PressureChange, Scenario, Unbalance
-from ambrose.synthesis.pid import pid_synthesis
 
 TIMES = (0.1, 0.5, 2.0)  # [s] after the filters have settled
 SPEED, BALANCED = 2 * np.pi * 50, 2 * np.pi * 500

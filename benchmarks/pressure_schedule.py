@@ -24,7 +24,7 @@ from ambrose.judge.result import certify
 from ambrose.law.law import law_of
 from ambrose.law.loop import Timing
 from ambrose.rig.scenario import PressureChange, Pulse, Scenario
-from ambrose.synthesis.weight_tuning import direct_gain_mismatch
+from ambrose.synthesis.hinf import direct_gain_mismatch
 
 TIMING = Timing(1e-4, 1)
 # of twice the nominal; of the nominal, the last one: stuck anywhere

@@ -20,6 +20,7 @@ from ambrose.core.statespace import StateSpace, select
 from ambrose.identification.output_error import closed_loop
 from ambrose.identification.parameters import COVERAGE, expand, nominal_values
 from ambrose.identification.validation.places import machine_at_load
+from ambrose.judge.result import pid_synthesis
 from ambrose.law import loop as control
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
@@ -27,7 +28,6 @@ from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.record.record import Record
 from ambrose.rig import virtual_rig
 from ambrose.rig.scenario import Unbalance, load_scenario
-from ambrose.synthesis.pid import pid_synthesis
 from benchmarks import waveforms
 from benchmarks.scatter_study import deviation_factors
 

@@ -6,10 +6,10 @@ from functools import cache
 
 from ambrose import load_machine
 from ambrose.core.sampling import c2d
+from ambrose.judge.result import pid_synthesis
 from ambrose.law.loop import match_controller
 from ambrose.model.assemble import assemble
 from ambrose.model.uncertainty import free_mode_reduction
-from ambrose.synthesis.pid import pid_synthesis
 
 DT = 1e-4
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")

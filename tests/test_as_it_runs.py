@@ -21,6 +21,7 @@ from ambrose.judge.result import (
     Synthesis,
     certify,
     certify_as_it_runs,
+    pid_synthesis,
     sampled_margins,
     without_fast_poles,
 )
@@ -31,7 +32,6 @@ from ambrose.machine.description import Tolerance
 from ambrose.machine.file.toml import read_machine_text
 from ambrose.model.assemble import assemble
 from ambrose.model.uncertainty import reduce
-from ambrose.synthesis.pid import pid_synthesis
 from coarse import coarse
 
 

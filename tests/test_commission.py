@@ -21,6 +21,7 @@ from ambrose.chain.commissioning import commission, compile_controller
 from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.judge.controller_file import read_controller
 from ambrose.judge.plants import full_plants
+from ambrose.judge.result import pid_synthesis
 from ambrose.judge.verdict import verify_points
 from ambrose.machine.description import Tolerance
 from ambrose.machine.file.toml import machine_hash
@@ -30,7 +31,6 @@ from ambrose.report import page as document
 from ambrose.report.comparison import commissioning_section
 from ambrose.report.page import Page
 from ambrose.rig.trial import evaluate
-from ambrose.synthesis.pid import pid_synthesis
 from coarse import coarse
 from needs import needs
 

@@ -16,7 +16,7 @@ from ambrose.core.sampling import c2d, delayed
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.judge import nominal
 from ambrose.judge.checks import Check, Checks
-from ambrose.judge.result import Synthesis
+from ambrose.judge.result import Synthesis, pid_synthesis
 from ambrose.judge.verdict import verify_controller
 from ambrose.law.pid import pid_controller
 from ambrose.model.assemble import assemble
@@ -25,7 +25,6 @@ from ambrose.model.uncertainty import reduce
 from ambrose.report.comparison_tables import decision
 from ambrose.rig.scenario import load_scenario
 from ambrose.rig.trial import Candidate, evaluate, simulate_linear, simulate_scenario
-from ambrose.synthesis.pid import pid_synthesis
 from coarse import coarse
 
 LOW, HIGH = 2 * np.pi * 20.0, 2 * np.pi * 140.0

@@ -432,10 +432,10 @@ def _known_laws(
     else the PIDs of the machine file (None: it has none, or the first law holds it). Raises
     InvalidInput.
     """
+    from ambrose.judge.result import machine_pid
     from ambrose.law.loop import check_side
     from ambrose.machine.machine import THRUST
     from ambrose.model.plant import Plant as PlantType
-    from ambrose.synthesis.pid import machine_pid
 
     machine = place.machine if isinstance(place, PlantType) else place
     own = machine if axes is None else machine.only(axes)

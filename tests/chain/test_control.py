@@ -13,12 +13,17 @@ from ambrose.chain import stages as control
 from ambrose.chain.stages import resume_or_design
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.judge.controller_file import write_controller
-from ambrose.judge.result import Certificate, Status, Synthesis, certify_on_full_plant
+from ambrose.judge.result import (
+    Certificate,
+    Status,
+    Synthesis,
+    certify_on_full_plant,
+    pid_synthesis,
+)
 from ambrose.model.assemble import assemble
 from ambrose.model.uncertainty import reduce
 from ambrose.synthesis.design import provenance
 from ambrose.synthesis.methods import Hinf
-from ambrose.synthesis.pid import pid_synthesis
 from coarse import coarse
 
 OWN_GAIN = Hinf(match_reference=False, rate=1e4)

@@ -5,11 +5,11 @@ from dataclasses import replace
 import pytest
 
 from ambrose.annexes.workbench.live import at_the_start, first_controller, why_lost
+from ambrose.judge.result import pid_synthesis
 from ambrose.law.loop import DEFAULT
 from ambrose.machine.file.toml import load_machine
 from ambrose.model.assemble import assemble
 from ambrose.synthesis.design import design
-from ambrose.synthesis.pid import pid_synthesis
 
 
 @pytest.fixture(scope="module")

@@ -14,11 +14,11 @@ from ambrose.code.block.block import build_block
 from ambrose.code.c.code import generate
 from ambrose.code.sampled import deploy
 from ambrose.judge.controller_file import write_controller
+from ambrose.judge.result import pid_synthesis
 from ambrose.law.law import ControlProgram
 from ambrose.model.assemble import assemble
 from ambrose.model.uncertainty import reduce
 from ambrose.synthesis.design import design
-from ambrose.synthesis.pid import pid_synthesis
 from needs import needs
 
 PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "c-code.md").read_text()

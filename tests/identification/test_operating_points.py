@@ -15,12 +15,12 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.identification.output_error.closed_loop import identify
 from ambrose.identification.parameters import nominal_values
+from ambrose.judge.result import pid_synthesis
 from ambrose.law.loop import closed_loop
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.model.assemble import assemble
 from ambrose.model.uncertainty import free_mode_reduction, perturbed
 from ambrose.record.record import Record
-from ambrose.synthesis.pid import pid_synthesis
 
 DT, NOMINAL = 1e-4, 2.04e5
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")

@@ -18,6 +18,7 @@ from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.identification.findings import Code
+from ambrose.judge.result import pid_synthesis
 from ambrose.law.loop import closed_loop, match_controller
 from ambrose.model.assemble import assemble
 from ambrose.model.uncertainty import free_mode_reduction
@@ -25,7 +26,6 @@ from ambrose.record.files import write_record
 from ambrose.record.record import POINT_KEYS
 from ambrose.record.response import Path, Response
 from ambrose.record.response_files import write_response
-from ambrose.synthesis.pid import pid_synthesis
 from coarse import coarse
 from one_axis_loop import levitate
 

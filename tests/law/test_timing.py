@@ -10,14 +10,13 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import StateSpace, transfer_function
-from ambrose.judge.result import Provenance, Synthesis
+from ambrose.judge.result import Provenance, Synthesis, pid_synthesis
 from ambrose.law.loop import Timing, machine_timing, timing_of
 from ambrose.law.pid import pid_controller
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.machine.part import PidSettings
 from ambrose.model.assemble import assemble
 from ambrose.synthesis.design import methods_for
-from ambrose.synthesis.pid import pid_synthesis
 
 MACHINE = load_machine("seal-rig")
 LAW = pid_controller(MACHINE.controller, MACHINE)

@@ -18,6 +18,7 @@ from ambrose.code.pipeline import machine_limits
 from ambrose.code.sampled import deploy, unmet_limits
 from ambrose.core.sampling import c2d, delayed
 from ambrose.judge import nominal
+from ambrose.judge.result import pid_synthesis
 from ambrose.judge.sampled import check_over_box
 from ambrose.law.design_problem import apply_delay, design_plant, design_tolerances, open_model
 from ambrose.law.loop import Timing
@@ -28,7 +29,6 @@ from ambrose.rig.scenario import load_scenario
 from ambrose.synthesis.design import design
 from ambrose.synthesis.fixed_order.polish import polish_synthesis
 from ambrose.synthesis.order_selection import find_lowest_order, sampled_sensitivity
-from ambrose.synthesis.pid import pid_synthesis
 from needs import needs
 
 pytestmark = [

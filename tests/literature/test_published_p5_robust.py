@@ -16,8 +16,7 @@ from benchmarks.published_p5 import (
 
 from ambrose.judge import robust
 from ambrose.law.pid import axes_controller
-from ambrose.synthesis.hinf import hinf_synthesis
-from ambrose.synthesis.weight_tuning import direct_gain_mismatch, tune_control_weight
+from ambrose.synthesis.hinf import direct_gain_mismatch, hinf_synthesis, tune_control_weight
 
 pytestmark = pytest.mark.literature
 AXES = tuple(published_p5_data()["axes"])

@@ -25,8 +25,7 @@ from ambrose.rig import linear
 from ambrose.rig.scenario import load_scenario
 from ambrose.rig.trace import settling
 from ambrose.synthesis.design import design
-from ambrose.synthesis.hinf import hinf_synthesis
-from ambrose.synthesis.weight_tuning import direct_gain_mismatch
+from ambrose.synthesis.hinf import direct_gain_mismatch, hinf_synthesis
 
 pytestmark = [pytest.mark.literature, pytest.mark.study]
 HZ = 2 * np.pi

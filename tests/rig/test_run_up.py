@@ -13,6 +13,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, select
+from ambrose.judge.result import pid_synthesis
 from ambrose.law.loop import closed_loop
 from ambrose.machine.description import OperatingPoint
 from ambrose.model.assemble import assemble
@@ -21,7 +22,6 @@ from ambrose.record.record import Record
 from ambrose.rig.scenario import Pulse, Scenario
 from ambrose.rig.trace import Trace
 from ambrose.rig.trial import loops_along, spin_up, steps
-from ambrose.synthesis.pid import pid_synthesis
 from coarse import coarse
 
 RUN_UP = Scenario(

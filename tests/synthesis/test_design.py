@@ -12,6 +12,7 @@ import pytest
 from ambrose.annexes.scheduled.lpv.method import Lpv
 from ambrose.annexes.scheduled.lpv.synthesis import lpv_synthesis
 from ambrose.core.checks import InvalidInput, NumericalFailure
+from ambrose.judge.result import pid_synthesis
 from ambrose.law.loop import Timing
 from ambrose.machine.file.toml import load_machine
 from ambrose.model.assemble import assemble
@@ -21,7 +22,6 @@ from ambrose.synthesis.fixed_order.polish import polish_synthesis
 from ambrose.synthesis.hinf import hinf_synthesis
 from ambrose.synthesis.methods import Pid, Tuned
 from ambrose.synthesis.mu import mu_synthesis
-from ambrose.synthesis.pid import pid_synthesis
 from coarse import coarse
 
 

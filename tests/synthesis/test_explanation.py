@@ -12,11 +12,11 @@ import ambrose as amb
 from ambrose.cli import main
 from ambrose.core.checks import NumericalFailure
 from ambrose.judge.nominal import stiffness_margin
+from ambrose.judge.result import pid_synthesis
 from ambrose.law.loop import Timing
 from ambrose.law.pid import common_sections, pid_controller
 from ambrose.machine.part import Channel, PidSettings, ShaftSection
 from ambrose.synthesis.design import explained, why_none, why_unstable
-from ambrose.synthesis.pid import pid_synthesis
 from coarse import coarse
 
 

@@ -13,6 +13,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, feedback, select, series, spectral_abscissa
+from ambrose.judge.result import pid_synthesis
 from ambrose.law.loop import closed_loop
 from ambrose.law.pid import (
     chain,
@@ -31,7 +32,6 @@ from ambrose.machine.part import Channel, Notch, PidSettings, Sensor, ShaftSecti
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
 from ambrose.model.uncertainty import reduce
-from ambrose.synthesis.pid import pid_synthesis
 from eigenvalue_margins import loop_margins, opened
 
 OMEGA = np.geomspace(1e-2, 1e5, 60)

@@ -17,11 +17,11 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.lft import FullBlock, GeneralizedPlant
 from ambrose.core.processes import REMEDY, TimeLimit
 from ambrose.core.statespace import StateSpace
+from ambrose.judge.result import pid_synthesis
 from ambrose.model.assemble import assemble
 from ambrose.synthesis import design, mu
 from ambrose.synthesis.fixed_order import polish
 from ambrose.synthesis.mu import mu_synthesis
-from ambrose.synthesis.pid import pid_synthesis
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import StateSpace, static_gain
 from ambrose.judge.result import Certificate, Synthesis
 from ambrose.law.pid import axes_controller
-from ambrose.synthesis.weight_tuning import direct_gain_mismatch, tune_control_weight
+from ambrose.synthesis.hinf import direct_gain_mismatch, tune_control_weight
 
 AXES = tuple(published_p5_data()["axes"])
 REFERENCE = static_gain(np.diag([2.0, 2.0, 3.0, 3.0]))

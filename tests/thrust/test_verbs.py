@@ -21,6 +21,7 @@ from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.checks import OVER_TOLERANCES, Check, Checks, Verification
 from ambrose.judge.controller_file import controller_schema, read_controller, write_controller
+from ambrose.judge.result import pid_synthesis
 from ambrose.machine.file.toml import dumps_machine
 from ambrose.record.files import read_record, write_record
 from ambrose.report.figures.motion import stations
@@ -28,7 +29,6 @@ from ambrose.report.record import record_page
 from ambrose.report.tables import deciding_verdict, unchecked
 from ambrose.rig.scenario import Scenario, bundled_scenarios, load_scenario
 from ambrose.rig.trial import Candidate, simulate_scenario
-from ambrose.synthesis.pid import pid_synthesis
 
 sys.path.insert(0, str(Path(__file__).parent))
 from rotor import machine

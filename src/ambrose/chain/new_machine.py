@@ -37,8 +37,13 @@ from ambrose.machine.description import (
 )
 from ambrose.machine.file.annotated import annotated_machine
 from ambrose.machine.file.stations import read_rotor
-from ambrose.machine.file.toml import loads_machine, read_machine_text, read_toml
-from ambrose.machine.file.update import machine_text
+from ambrose.machine.file.toml import (
+    bundled_machines,
+    loads_machine,
+    read_machine_text,
+    read_toml,
+)
+from ambrose.machine.file.update import machine_text, save_machine
 from ambrose.machine.machine import Machine
 from ambrose.machine.part import Disc, Notch, PidSettings, RotorModel, Sensor, ShaftSection
 from ambrose.machine.units import DIMENSIONS, read_quantity
@@ -292,6 +297,42 @@ def text_of_file(path: Path, speed: str = "") -> str:
 
 
 @named_failure("the new machine")
+def is_machine(source: str | Path) -> bool:
+    """Whether it is a machine file or a bundled machine's name, no rotor model. Raises
+    InvalidInput.
+    """
+    if str(source) in bundled_machines():
+        return True
+    return Path(source).suffix.lower() == ".toml" and "machine" in read_toml(source, "file")
+
+
+def rotor_with(source: Path, speed: str | None, bearings: str | None) -> RotorModel:
+    """The rotor model of a file, its highest speed and its magnets' places as stated. Raises
+    InvalidInput.
+    """
+    rotor = read_rotor(source)
+    return replace(
+        rotor,
+        speed=rotor.speed if speed is None else quantity_of("speed", speed),
+        bearings=rotor.bearings if bearings is None else quantities_of("bearings", bearings),
+    )
+
+
+def machine_file_of(
+    source: str, output: Path, speed: str | None, bearings: str | None
+) -> tuple[str, str]:
+    """The path of a machine file as it is, or of the one that was made of a rotor model, and what
+    of the model was left out, in words. Raises InvalidInput.
+    """
+    if is_machine(source):
+        if speed is not None or bearings is not None:
+            raise InvalidInput("--speed and --bearings are of a rotor model; leave them out")
+        return source, ""
+    rotor = rotor_with(Path(source), speed, bearings)
+    save_machine(machine_of_rotor(rotor), output)
+    return str(output), ", ".join(rotor.left_out) or "nothing"
+
+
 def machine_of_rotor(rotor: RotorModel, known: Known | None = None) -> Machine:
     """The rotor on magnetic bearings: what neither says is chosen, and marked in ``assumed``.
     Raises InvalidInput.

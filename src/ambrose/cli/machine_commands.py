@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -531,23 +530,17 @@ def _convert_machine(
     from ambrose.chain.new_machine import (
         NOT_HELD,
         Known,
+        is_machine,
         machine_of_rotor,
-        quantities_of,
-        quantity_of,
+        rotor_with,
     )
     from ambrose.core.checks import InvalidInput
     from ambrose.machine.file.ross import off_nodes, ross_text
-    from ambrose.machine.file.stations import read_rotor
-    from ambrose.machine.file.toml import bundled_machines, load_machine, read_toml
+    from ambrose.machine.file.toml import load_machine
     from ambrose.machine.file.update import save_machine
     from ambrose.machine.ordinary_file import write_text
 
-    own = (
-        source.suffix.lower() == ".toml"
-        and str(source) not in bundled_machines()
-        and "machine" in read_toml(source, "file")
-    )
-    if own or str(source) in bundled_machines():
+    if is_machine(source):
         machine = load_machine(source)
         claim(rotor_model=output)
         write_text(output, ross_text(machine, springs(machine)), "rotor model")
@@ -577,13 +570,8 @@ def _convert_machine(
             raise InvalidInput(
                 f"{output} exists already; choose another name with -o, or remove the file"
             )
-        rotor = read_rotor(source)
+        rotor = rotor_with(source, speed, bearings)
         claim(machine_file=output)
-        rotor = replace(
-            rotor,
-            speed=rotor.speed if speed is None else quantity_of("speed", speed),
-            bearings=rotor.bearings if bearings is None else quantities_of("bearings", bearings),
-        )
         machine = machine_of_rotor(rotor, Known(vertical=vertical))
         save_machine(machine, output)
         reasons = dict(machine.assumed)

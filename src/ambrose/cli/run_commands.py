@@ -121,11 +121,10 @@ def simulate(
     run is interrupted.
     """
     from ambrose.api import simulate as run
-    from ambrose.judge.result import OF_MACHINE
+    from ambrose.judge.result import OF_MACHINE, machine_pid
     from ambrose.law.loop import DEFAULT, timing_in_words, timing_of
     from ambrose.record.files import check_suffix, write_record
     from ambrose.report.record import REACHED, run_result
-    from ambrose.synthesis.pid import machine_pid
 
     chosen = asked_for(OnTarget, asked)
     options = chosen.values()

@@ -17,14 +17,15 @@ import gzip
 import itertools
 import math
 from base64 import b64encode
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import date as calendar
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from ambrose.core.checks import InvalidInput
-from ambrose.machine.file.toml import machine_hash
+from ambrose.core.checks import InvalidInput, invalid
+from ambrose.machine.file.toml import machine_hash, read_toml
 from ambrose.machine.machine import Machine
 from ambrose.machine.ordinary_file import write_text
 from ambrose.registry import registered, resolve
@@ -236,13 +237,61 @@ class Subject:
     source: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class Brand:
+    """Whose document it is, at the head of every printed page; logo: a data URL."""
+
+    project: str = ""
+    revision: str = ""
+    author: str = ""
+    logo: str = ""
+
+    @property
+    def line(self) -> str:
+        """What stands beside the logo."""
+        revision = f"revision {self.revision}" * bool(self.revision)
+        return ", ".join(filter(None, (self.project, revision, self.author)))
+
+
+# [bytes] of a logo, and the pictures that a page may hold
+_LOGO = 1_000_000
+_LOGOS = {".svg": "svg+xml", ".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg"}
+
+
+def brand_of(file: Path, given: Mapping[str, str | None]) -> Brand:
+    """Project, revision, author and the logo's path: as given, else (None) as a user's file states
+    them, if there is one. Raises InvalidInput.
+    """
+    stated = read_toml(file, "defaults of reviews") if file.is_file() else {}
+    if wrong := [key for key in stated if key not in given or not isinstance(stated[key], str)]:
+        raise InvalidInput(
+            f"{file} holds {wrong[0]!r}, but it states {', '.join(given)} as texts; correct it"
+        )
+    words = {key: text if text is not None else stated.get(key, "") for key, text in given.items()}
+    if not (logo := words.pop("logo")):
+        return Brand(**words)
+    path = Path(logo) if given["logo"] is not None else file.parent / Path(logo).expanduser()
+    if (kind := _LOGOS.get(path.suffix.lower())) is None:
+        raise invalid("the logo", str(path), f"a file {', '.join(_LOGOS)}", "save it as one")
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InvalidInput(
+            f"cannot read the logo {path}: {error.strerror}; give its path"
+        ) from None
+    if len(content) > _LOGO:
+        size = f"{len(content) / 1e6:.1f} MB"
+        raise invalid("the logo", size, "at most 1 MB", "save it smaller")
+    return Brand(**words, logo=f"data:image/{kind};base64,{b64encode(content).decode()}")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Page:
     """Everything on the page. date: ISO date, today if empty; signatures: the lines to sign at the
     end. Facts without a text are left out.
 
     result: how it all turned out (None: whether every verdict is good, in words of the page); it
-    begins the page. opening: what stands before the verdicts.
+    begins the page. opening: what stands before the verdicts. brand: on every printed page.
     """
 
     title: str
@@ -254,6 +303,7 @@ class Page:
     signatures: tuple[str, ...] = ("Prepared", "Checked", "Released")
     result: Verdict | None = None
     opening: Section | None = None
+    brand: Brand | None = None
 
     @property
     def head(self) -> tuple[tuple[str, str], ...]:
@@ -264,6 +314,7 @@ class Page:
             ("Machine", ", ".join(filter(None, (about.name, digest, about.description)))),
             ("Source", about.source),
             *self.facts,
+            ("Document", self.brand.line if self.brand else ""),
             ("Computed", f"{self.date or calendar.today().isoformat()} with ambrose {__version__}"),
         )
 
@@ -325,6 +376,7 @@ def render(page: Page) -> str:
         number=itertools.count(1).__next__,
         least_width=least_width,
         running_title=Markup(css_string(f"{page.title}: {page.machine.name}")),
+        running_head=Markup(css_string(page.brand.line if page.brand else "")),
         shades=SHADES,
         data=[Markup(packed(figure.picture.to_json())) for figure in pictures],
         library=Markup(packed(get_library())) if pictures else "",

@@ -199,7 +199,7 @@ class Weighted(Lowered):
         from ambrose.law.design_problem import design_plant
         from ambrose.law.pid import pid_controller
         from ambrose.model.uncertainty import reduce
-        from ambrose.synthesis.weight_tuning import direct_gain_mismatch
+        from ambrose.synthesis.hinf import direct_gain_mismatch
 
         machine, timing = plant.machine, self.timing()
         model, uncertain = self.design_model(plant)
@@ -284,7 +284,7 @@ def _as_strong(
 ) -> tuple[Synthesis, Weights]:
     """The controller whose direct gains are the reference's, and its weights."""
     from ambrose.core.checks import invalid
-    from ambrose.synthesis.weight_tuning import tune_control_weight
+    from ambrose.synthesis.hinf import tune_control_weight
 
     if reference is None:
         raise invalid(
@@ -378,7 +378,7 @@ class Pid(Lowered):
         return plant.machine.reference is not None
 
     def design(self, plant: Plant, progress: Progress) -> Synthesis:
-        from ambrose.synthesis.pid import continuous_pid
+        from ambrose.judge.result import continuous_pid
 
         return continuous_pid(plant)
 
@@ -547,7 +547,7 @@ class Tuned(Method):
         from ambrose.judge.result import full_plant_margins
         from ambrose.law.pid import first_settings, pid_controller
         from ambrose.synthesis.fixed_order.tuning import tune_controller
-        from ambrose.synthesis.weight_tuning import direct_gain_mismatch
+        from ambrose.synthesis.hinf import direct_gain_mismatch
 
         machine = plant.machine
         start = machine.reference or first_settings(machine)

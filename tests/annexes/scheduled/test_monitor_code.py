@@ -16,10 +16,10 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
+from ambrose.judge.result import pid_synthesis
 from ambrose.law.loop import closed_loop, match_controller
 from ambrose.model.assemble import assemble
 from ambrose.model.uncertainty import free_mode_reduction
-from ambrose.synthesis.pid import pid_synthesis
 from needs import needs
 
 DT, LENGTH = 1e-4, 16_000

@@ -6,8 +6,8 @@ import pytest
 
 import ambrose as amb
 from ambrose.law.pid import pid_controller
+from ambrose.synthesis.hinf import direct_gain_mismatch
 from ambrose.synthesis.methods import Tuned
-from ambrose.synthesis.weight_tuning import direct_gain_mismatch
 
 pytestmark = pytest.mark.literature
 

@@ -17,12 +17,12 @@ from ambrose.code.sampled import deploy
 from ambrose.code.targets import C
 from ambrose.core.checks import InvalidInput
 from ambrose.judge import nominal
+from ambrose.judge.result import pid_synthesis
 from ambrose.law.law import NativeProgram
 from ambrose.law.pid import pid_controller
 from ambrose.model.assemble import assemble
 from ambrose.rig import virtual_rig
 from ambrose.rig.scenario import Failure, load_scenario
-from ambrose.synthesis.pid import pid_synthesis
 from needs import needs
 
 pytestmark = needs("cc")

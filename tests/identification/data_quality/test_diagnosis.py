@@ -24,6 +24,7 @@ from ambrose.identification.loop import identify_loop, usual_unknowns
 from ambrose.identification.output_error.closed_loop import identify
 from ambrose.identification.output_error.problem import FitOptions
 from ambrose.identification.validation.plausibility import delay_findings, diagnose_result
+from ambrose.judge.result import pid_synthesis
 from ambrose.law.loop import closed_loop, match_controller
 from ambrose.machine.description import Tolerance
 from ambrose.machine.part import SealTable
@@ -33,7 +34,6 @@ from ambrose.record.record import Record
 from ambrose.report.identification import identification_page
 from ambrose.rig import virtual_rig
 from ambrose.rig.scenario import Prbs, Pulse, Scenario
-from ambrose.synthesis.pid import pid_synthesis
 
 run = partial(pipeline.identify, bending_modes=1)  # as the loops have that made the records
 

@@ -18,12 +18,12 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
 from ambrose.identification import frf_spectral as frf
 from ambrose.identification.frf import AGREES, DISAGREES, UNDECIDED, compare
+from ambrose.judge.result import pid_synthesis
 from ambrose.law.loop import closed_loop
 from ambrose.machine.description import OperatingPoint
 from ambrose.model.assemble import assemble
 from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.record.record import Record
-from ambrose.synthesis.pid import pid_synthesis
 from coarse import coarse
 
 HZ = 2 * np.pi

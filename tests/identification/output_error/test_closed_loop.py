@@ -16,6 +16,7 @@ from ambrose.core.statespace import select
 from ambrose.identification.output_error import closed_loop as fit
 from ambrose.identification.output_error.loop_model import loop_model
 from ambrose.identification.parameters import expand, nominal_values, update_machine
+from ambrose.judge.result import pid_synthesis
 from ambrose.law.loop import closed_loop, match_controller
 from ambrose.machine.description import Tolerance
 from ambrose.model.assemble import assemble
@@ -25,7 +26,6 @@ from ambrose.model.uncertainty import free_mode_reduction, perturbed
 from ambrose.record.record import Record
 from ambrose.rig import virtual_rig
 from ambrose.rig.scenario import Prbs, Scenario
-from ambrose.synthesis.pid import pid_synthesis
 from whole_records import simulate_derivative
 
 DT = 1e-4

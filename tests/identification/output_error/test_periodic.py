@@ -17,11 +17,11 @@ from ambrose.core.statespace import select
 from ambrose.identification.output_error.closed_loop import identify
 from ambrose.identification.output_error.periodic import _columns, _rows
 from ambrose.identification.parameters import expand, nominal_values
+from ambrose.judge.result import pid_synthesis
 from ambrose.law.loop import closed_loop
 from ambrose.model.assemble import assemble
 from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.record.record import Record
-from ambrose.synthesis.pid import pid_synthesis
 
 DT, P = 1e-4, 1270
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")

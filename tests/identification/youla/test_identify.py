@@ -19,6 +19,7 @@ from ambrose.identification import youla
 from ambrose.identification.output_error import closed_loop as whole_loop
 from ambrose.identification.parameters import nominal_values, update_machine
 from ambrose.identification.youla import finite_response, sampled_residual
+from ambrose.judge.result import pid_synthesis
 from ambrose.law.loop import closed_loop, match_controller
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import Tolerance
@@ -28,7 +29,6 @@ from ambrose.model.uncertainty import free_mode_reduction, perturbed
 from ambrose.record.record import Record
 from ambrose.rig import virtual_rig
 from ambrose.rig.scenario import Prbs, Scenario
-from ambrose.synthesis.pid import pid_synthesis
 from coarse import coarse
 from whole_records import simulate_derivative
 

@@ -16,7 +16,7 @@ from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.judge import nominal, robust
 from ambrose.judge.checks import Check, Checks, Curve
-from ambrose.judge.result import Certificate, Synthesis
+from ambrose.judge.result import Certificate, Synthesis, pid_synthesis
 from ambrose.law.design_problem import design_plant
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
@@ -31,7 +31,6 @@ from ambrose.report.page import Cell, Page, Section, Table
 from ambrose.rig.trial import SCENARIOS, Candidate, points_of, simulate_linear
 from ambrose.synthesis.hinf import hinf_synthesis
 from ambrose.synthesis.mu import mu_synthesis
-from ambrose.synthesis.pid import pid_synthesis
 from coarse import coarse
 
 POINTS = ("zero pressure", "nominal pressure", "twice nominal pressure")

@@ -9,13 +9,13 @@ from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.identification import youla
+from ambrose.judge.result import pid_synthesis
 from ambrose.law.loop import closed_loop
 from ambrose.machine.description import Tolerance
 from ambrose.model.assemble import assemble
 from ambrose.model.uncertainty import free_mode_reduction, perturbed
 from ambrose.record.record import Record
 from ambrose.report.figures.bode import residual_figure
-from ambrose.synthesis.pid import pid_synthesis
 
 PATH = "bearing.A.negative_stiffness.zeta"
 

@@ -17,6 +17,7 @@ from ambrose.identification.findings import Code, Finding
 from ambrose.identification.pipeline import Provenance, identify
 from ambrose.identification.seal.by_pressure import SealByPressure, SealFit, line
 from ambrose.identification.validation.plausibility import compare
+from ambrose.judge.result import pid_synthesis
 from ambrose.law.loop import closed_loop, match_controller
 from ambrose.machine.parameters import TIMING, quantities
 from ambrose.model.assemble import assemble
@@ -34,7 +35,6 @@ from ambrose.report.identification import (
 )
 from ambrose.report.page import render, write
 from ambrose.report.theme import fixed
-from ambrose.synthesis.pid import pid_synthesis
 from first_screen import WIDTHS, measure
 from needs import needs
 

@@ -498,7 +498,8 @@ def cost_rows(result: Landing) -> tuple[tuple[str, str, str, str, str], ...]:
     """(place, quantity, value, limit, mark) of every row, as text."""
     rows = []
     for row in result.rows:
-        limit = "" if row.limit is None else f"{row.relation} {_valued(row.limit, row.unit)}"
+        sign = "≤" if row.relation == "<=" else "≥"
+        limit = "" if row.limit is None else f"{sign} {_valued(row.limit, row.unit)}"
         mark = {None: "none", True: "pass", False: "fail"}[row.passed]
         rows.append((row.place, row.title, _valued(row.value, row.unit), limit, mark))
     return tuple(rows)
@@ -508,7 +509,9 @@ def _valued(value: float, unit: str) -> str:
     if not np.isfinite(value):
         return "not bounded"
     if unit == "N":
-        return f"{value / 1e3:.3g} kN"
+        return f"{theme.number(value / 1e3)} kN"
+    if unit == "J":
+        return f"{theme.number(value / 1e3)} kJ"
     if unit == "K":
         return f"{value - 273.15:.4g} °C"
     if unit == "s":

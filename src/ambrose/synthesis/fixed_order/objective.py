@@ -42,7 +42,7 @@ from ambrose.synthesis.fixed_order.channels import (
     warped,
 )
 from ambrose.synthesis.fixed_order.structure import Structure
-from ambrose.synthesis.weight_tuning import BAND
+from ambrose.synthesis.hinf import BAND
 
 # Which models and frequencies count in the p-norm of the channels: the others are left out of an
 # evaluation.

@@ -14,13 +14,13 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate, simulate_piecewise
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
+from ambrose.judge.result import pid_synthesis
 from ambrose.law.loop import closed_loop, match_controller
 from ambrose.machine.description import Tolerance
 from ambrose.machine.part import SealTable
 from ambrose.model.assemble import assemble
 from ambrose.model.uncertainty import free_mode_reduction, perturbed
 from ambrose.record.record import Record
-from ambrose.synthesis.pid import pid_synthesis
 from coarse import coarse
 
 DT, LENGTH = 1e-4, 16_000

@@ -1,0 +1,115 @@
+"""`ambrose review`: one page of everything that was judged, with its author on every sheet."""
+
+import json
+import re
+from dataclasses import replace
+
+import pytest
+from click.testing import CliRunner
+
+import ambrose as amb
+from ambrose.annexes.review.review import review_page
+from ambrose.cli import main
+from ambrose.machine.file.update import save_machine
+from ambrose.report.page import Brand, brand_of, render
+from coarse import coarse_text
+
+RIG = "turbomolecular-pump"
+
+
+def call(*words):
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A machine of few elements without seals' tolerances, its PID, and what `review` leaves."""
+    folder = tmp_path_factory.mktemp("review")
+    (folder / "rotor.toml").write_text(coarse_text(RIG), encoding="utf-8")
+    machine = replace(amb.load_machine(folder / "rotor.toml"), tolerances=())
+    save_machine(machine, folder / "rotor.toml")
+    amb.write_controller(folder / "pid.json", amb.design(machine, "pid"))
+    (folder / "logo.svg").write_text('<svg xmlns="http://www.w3.org/2000/svg"/>')
+    words = ("--project", "Compressor <7>", "--revision", "B", "--author", "J. Doe")
+    words += ("--logo", folder / "logo.svg", "-o", folder / "out", "--json")
+    done = call("review", folder / "rotor.toml", folder / "pid.json", *words)
+    assert done.exit_code in (0, 1), done.output
+    return folder, done
+
+
+def test_it_says_what_the_commands_behind_it_say(place):
+    folder, done = place
+    told = json.loads(done.stdout)
+    verified = json.loads(
+        call("verify", folder / "rotor.toml", "--controller", folder / "pid.json", "--json").stdout
+    )
+    lateral = call("lateral", folder / "rotor.toml", "--controller", folder / "pid.json", "--json")
+    failed = [item for item in json.loads(lateral.stdout)["items"] if item["passed"] is False]
+    checked = json.loads(call("check", folder / "rotor.toml", "--json").stdout)
+    by = [row["analysis"] for row in told["failed"]]
+    assert by.count("lateral") == len(failed) and by.count("check") == len(checked["doubts"])
+    assert ("verify" in by) == (not verified["passed"])
+    assert told["passed"] == (done.exit_code == 0) == (not by)
+    assert any("no [bearing.touchdown.limits]" in text for text in told["not_judged"])
+    names = [source["file"] for source in told["sources"]]
+    assert names == ["rotor.toml", "pid.json"]
+
+
+def test_every_page_carries_project_revision_author_and_logo(place):
+    folder, _ = place
+    for name in ("review", "verify", "lateral"):
+        text = (folder / "out" / f"{name}.html").read_text(encoding="utf-8")
+        assert "Compressor &lt;7&gt;, revision B, J. Doe" in text  # the head, escaped
+        assert "@top-left" in text and "data:image/svg+xml;base64," in text
+        assert "Compressor <7>" not in text
+    again = amb.read_controller(folder / "out" / "controller.json")
+    assert again.controller.inputs == amb.read_controller(folder / "pid.json").controller.inputs
+
+
+def test_what_fails_and_what_was_not_judged_stand_on_the_page(place):
+    folder, _ = place
+    machine = amb.load_machine(folder / "rotor.toml")
+    strict = replace(
+        machine, requirements=replace(machine.requirements, sensitivity_peak=1.05), assumed=()
+    )
+    result = amb.review(strict, folder / "pid.json")
+    assert not result.passed and "Not to be released: " in result.verdict
+    page = review_page(result, brand=Brand("P"))
+    titles = [section.title for section in page.sections]
+    assert titles[0] == "What does not hold" and "What was not judged" in titles
+    (rows,) = (section.tables[0].rows for section in page.sections if section.title == titles[0])
+    assert len(rows) == len(result.failed) > 0
+    text = re.sub(r"\s+", " ", render(page))
+    assert result.verdict.split(";")[0] in text
+
+
+def test_the_users_file_has_the_defaults_and_is_refused_where_it_is_wrong(
+    place, tmp_path, monkeypatch
+):
+    folder, _ = place
+    monkeypatch.setattr("click.get_app_dir", lambda name: str(tmp_path))
+    file, empty = tmp_path / "review.toml", dict.fromkeys(("project", "revision", "author", "logo"))
+    assert brand_of(file, empty) == Brand()
+    (tmp_path / "logo.svg").write_text("<svg/>")
+    file.write_text('author = "A. Noether"\nlogo = "logo.svg"\n')
+    stated = brand_of(file, {**empty, "project": "P"})
+    assert stated.line == "P, A. Noether" and stated.logo.startswith("data:image/svg+xml;base64,")
+    assert brand_of(file, {**empty, "author": "B"}).author == "B"
+    (tmp_path / "review.toml").write_text("colour = 3\n")
+    words = (folder / "rotor.toml", folder / "pid.json", "-o", tmp_path / "out")
+    done = call("review", *words)
+    assert done.exit_code == 2 and "holds 'colour'" in done.stderr
+    (tmp_path / "review.toml").unlink()
+    done = call("review", *words, "--logo", tmp_path / "logo.gif")
+    assert done.exit_code == 2 and "the logo is" in done.stderr
+
+
+def test_a_rotor_model_is_converted_into_the_folder(place, tmp_path):
+    folder, _ = place
+    table = "length [mm], outer diameter [mm]\n300, 40\n300, 40\n"
+    (tmp_path / "rotor.csv").write_text(table)
+    words = ("review", tmp_path / "rotor.csv", folder / "pid.json", "-o", tmp_path / "out")
+    done = call(*words, "--speed", "9000 rpm")
+    assert done.exit_code == 2 and "the list of the controller's inputs" in done.stderr
+    assert "its machine file is" in done.stderr
+    assert amb.load_machine(tmp_path / "out" / "machine.toml").operation.speed_range[1] > 900
