@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 
@@ -176,7 +175,7 @@ def _with_cores(plant: Plant, omega: np.ndarray, P: Matrices) -> Matrices:
     if not solid_cores(plant):
         return P
     # P: u, f -> y, q, i of the one axis
-    machine = cast(AxialMachine, plant.machine)
+    machine = plant.machine
     per_current, per_place = left_out(machine, plant.point, omega, plant.offsets)[:, :, None, None]
     extra = per_current * P[:, 2:] + per_place * P[:, 1:2]
     return np.asarray(P + P[:, :, 1:] @ extra / (1 - extra[:, :, 1:]))

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -78,7 +77,7 @@ _RECORD = 0.25  # [s] after the change
 
 def thrust_checks(closed: StateSpace, plant: Plant) -> tuple[list[Check], list[Curve]]:
     """The checks and curves of this file's table; closed: ``law.loop.closed_loop``."""
-    machine = cast(AxialMachine, plant.machine)
+    machine = plant.machine
     part, at = machine.thrust, at_point(machine, plant.point)
     side = "right" if at.load < 0 else "left"
     largest = at.capacity[at.load < 0]
@@ -140,7 +139,7 @@ def _change(
 
 
 def _change_checks(
-    machine: AxialMachine,
+    machine: Machine,
     at: Loaded,
     ends: tuple[float, float],
     time: np.ndarray,

@@ -96,6 +96,27 @@ class Machine(MachineDescription):
         return ()
 
     @property
+    def thrust(self) -> ThrustBearing:
+        """Its thrust bearing. Raises InvalidInput where it has none."""
+        found = next((part for part in self.effects if isinstance(part, ThrustBearing)), None)
+        if found is None:
+            raise InvalidInput(f"{self.name} has no [[thrust_bearing]]; add one")
+        return found
+
+    def condition(self, point: OperatingPoint) -> Condition:
+        """Thrust and place at an operating point: by its label, else of the first one at its speed
+        and pressure (a record keeps no more); none where there is no such point.
+        """
+        points = [*zip(self.operation.points, self.conditions, strict=False)]
+        for own, item in points:
+            if point.label and own.label == point.label:
+                return item
+        for own, item in points:
+            if (own.speed, own.seal_pressure) == (point.speed, point.seal_pressure):
+                return item
+        return Condition(point.label, 0.0, 0.0)
+
+    @property
     def reach(self) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
         """Per axis the largest plausible displacement [m] and the largest current [A]; None where a
         bearing does not say.
@@ -314,14 +335,6 @@ class AxialMachine(Machine):
             raise InvalidMachine(f'machine "{self.name}"', lines)
 
     @property
-    def thrust(self) -> ThrustBearing:
-        """Its thrust bearing."""
-        found = next((part for part in self.effects if isinstance(part, ThrustBearing)), None)
-        if found is None:
-            raise InvalidInput(f"{self.name} has lost its thrust bearing; take machine.axial anew")
-        return found
-
-    @property
     def group(self) -> str:
         """That of its one axis."""
         return THRUST
@@ -374,19 +387,6 @@ class AxialMachine(Machine):
         """It is that axis."""
         remedy = remedy or f'take the machine without "{SUFFIX}"'
         raise InvalidInput(f"{self.name} is the axis along the shaft, but {what}; {remedy}")
-
-    def condition(self, point: OperatingPoint) -> Condition:
-        """Thrust and place at an operating point: by its label, else of the first one at its speed
-        and pressure (a record keeps no more); none where there is no such point.
-        """
-        points = [*zip(self.operation.points, self.conditions, strict=True)]
-        for own, item in points:
-            if point.label and own.label == point.label:
-                return item
-        for own, item in points:
-            if (own.speed, own.seal_pressure) == (point.speed, point.seal_pressure):
-                return item
-        return Condition(point.label, 0.0, 0.0)
 
     def facts(self) -> Any:
         """The axis in a line."""

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 import scipy.linalg as sla
@@ -373,7 +372,7 @@ def _bearing_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
 
 def _thrust_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
     """k_i i or k_s x of both magnets, each side's share of it before its core."""
-    machine = cast(AxialMachine, plant.machine)
+    machine = plant.machine
     (axis,), at = plant.axes, at_point(machine, plant.point)
     if parameter.quantity == "core_scale":
         # (R_0 + (1 + d) c sqrt(s)) phi = v: as v less d times what the eddy currents take

@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import scipy.special
@@ -97,7 +97,7 @@ def thrust_responses(
     (2,) of current and displacement that no excitation makes. Raises InvalidInput where no such
     magnets are found, or the linear loop leaves their gaps.
     """
-    machine = cast(AxialMachine, plant.machine)
+    machine = plant.machine
     (axis,), at = machine.axes, machine.condition(plant.point)
     part = with_found(machine.thrust, at.load, at.place, *coefficients)
     loop = closed_loop(plant, law)

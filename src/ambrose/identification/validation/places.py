@@ -91,7 +91,7 @@ def at_place(machine: AxialMachine, records: Sequence[Record]) -> AxialMachine:
 
 
 def thrust_findings(
-    machine: AxialMachine,
+    machine: Machine,
     values: dict[str, float],
     point: OperatingPoint,
     records: Sequence[Record],
