@@ -61,19 +61,27 @@ class Truth:
         found = np.concatenate(found)
         return np.unique(found[(found >= low) & (found <= high)].round(3))
 
-    def light_poles(self, law):
-        """Poles [rad/s] of the running loop, with its delay, that make resonances."""
+    def poles(self, law):
+        """Of the running loop, with its sample of delay, in z."""
         Ad, Bd, Cy = self.held
         A, B, C, D = law
-        a = Bd.shape[1]
+        n, k, a = len(Ad), len(A), Bd.shape[1]
         loop = np.block(
             [
-                [Ad, np.zeros((len(Ad), len(A))), Bd],
-                [-B @ Cy, A, np.zeros((len(A), a))],
+                [Ad, np.zeros((n, k)), Bd],
+                [-B @ Cy, A, np.zeros((k, a))],
                 [-D @ Cy, C, np.zeros((a, a))],
             ]
         )
-        s = np.log(np.linalg.eigvals(loop).astype(complex) + 1e-300) * self.rate
+        return np.linalg.eigvals(loop)
+
+    def radius(self, law):
+        """The largest modulus of these poles."""
+        return np.abs(self.poles(law)).max()
+
+    def light_poles(self, law):
+        """Poles [rad/s] of the running loop that make resonances."""
+        s = np.log(self.poles(law).astype(complex) + 1e-300) * self.rate
         return s[(s.imag > 0) & (np.abs(s.real) < 0.1 * np.abs(s))]
 
     def plant(self, hertz):

@@ -403,15 +403,16 @@ def magnets_off(name, turning, way, seed):
     speed = max(point.speed for point in known.operation.points) if turning else 0.0
     drawn = tuple(np.random.default_rng(seed).uniform(-0.1, 0.1, 2))
     true = Truth.of(file, rate, drawn, speed=speed, modes=modes)
+    ran = matrices(law, rate)
+    assert true.radius(ran) < 1
     kind, diagonal = WAYS[way]
-    found = true.sweep(
-        known.name, matrices(law, rate), true.hertz(), kind, seed=seed, diagonal=diagonal
-    )
+    found = true.sweep(known.name, ran, true.hertz(), kind, seed=seed, diagonal=diagonal)
     done = amb.identify(known, found, law)
-    own = {bearing["name"]: bearing for bearing in true.rig.numbers["bearings"]}
-    key = {"force_per_current": "ki", "negative_stiffness": "ks"}
+    # slopes at the load, as they are identified
+    own = dict(zip(true.rig.axes, true.rig.mag[:, 4:6], strict=True))
     return [
-        (row.value - own[b][key[quantity]][int(axis == "eta")]) / row.standard_deviation
+        (row.value - own[f"{b}_{axis}"][int(quantity == "negative_stiffness")])
+        / row.standard_deviation
         for row in done.parameters
         if row.path.startswith("bearing.")
         for _, b, quantity, axis in [row.path.split(".")]

@@ -54,6 +54,8 @@ Pair = tuple[float, float]  # (zeta, eta)
 SCHEMA_VERSION = 1  # of the machine file
 BEARING_TERMS = ("first", "last", "every")  # what scenarios call bearings, whatever their names are
 COEFFICIENTS_AT = ("no-load", "static-load")
+MODAL_DAMPING = 0.005  # usual for a steel shaft
+DAMPINGS = ("rayleigh_alpha", "rayleigh_beta", "loss_factor")  # in place of modal_damping
 BEAM_THEORIES = ("bernoulli-euler", "rayleigh", "timoshenko")
 AMPLIFIER_PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "none": (),
@@ -502,7 +504,21 @@ class MachineDescription(Part):
     weights: Annotated[DesignWeights | None, "what a robust design aims at"] = None
     description: Annotated[Words, "what it is, in a sentence"] = ""
     source: Annotated[Words, "where its figures come from"] = ""
-    modal_damping: Annotated[Ratio, "damping ratio of every bending mode"] = 0.005
+    modal_damping: Annotated[
+        Ratio, "damping ratio of every bending mode; the next three take its place"
+    ] = MODAL_DAMPING
+    rayleigh_alpha: Annotated[
+        float,
+        Quantity("plain number"),
+        "mass-proportional damping of bending modes [1/s]: a ratio alpha/(2 w)",
+    ] = 0.0
+    rayleigh_beta: Annotated[
+        Time, "stiffness-proportional damping of bending modes: a ratio beta w/2"
+    ] = 0.0
+    loss_factor: Annotated[
+        Ratio,
+        "hysteretic damping of bending modes: a ratio of half of it",
+    ] = 0.0
     beam_theory: Annotated[str, Choice(BEAM_THEORIES), "theory of the shaft's beam elements"] = (
         "bernoulli-euler"
     )

@@ -11,6 +11,7 @@ from ambrose.core.checks import InvalidInput, names_wrong_types
 from ambrose.core.presentation import html_table
 from ambrose.machine.attachment import attached, attachment_of, by_table
 from ambrose.machine.description import (
+    DAMPINGS,
     SCHEMA_VERSION,
     Amplifier,
     DesignWeights,
@@ -26,7 +27,10 @@ from ambrose.machine.validation.machine import InvalidMachine, axial_problems, c
 
 RADIAL, THRUST = "radial", "thrust"  # groups of axes
 # keys of [machine]
-_HEAD = ("name", "description", "source", "beam_theory", "modal_damping", "gravity_direction")
+_HEAD = (
+    *("name", "description", "source", "beam_theory", "modal_damping"),
+    *(*DAMPINGS, "gravity_direction"),
+)
 
 
 @dataclass(frozen=True, slots=True, repr=False)

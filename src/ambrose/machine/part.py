@@ -127,6 +127,25 @@ class Material(Part):
     name: str = field(default="", compare=False)
 
 
+# What a [[shaft]] may name without a table of its own, at room temperature: density [kg/m3],
+# Young's modulus [Pa], Poisson's ratio. Steel: this package's default. 42CrMo4 (1.7225): a
+# supplier's sheet, 7.84 g/cm3 and 190 to 210 GPa, of which the upper end, with steel's ratio.
+# Ti-6Al-4V: suppliers' sheets, 4.43 g/cm3 and 114 GPa; ratio recalled. Aluminium: moduli and ratios
+# of a published table of measured alloys, densities recalled. Inconel 718, aged: Special Metals
+# SMC-045, 0.297 lb/in3, 29.0e6 psi, 0.29.
+MATERIALS: Mapping[str, Material] = {
+    name: Material(*figures, name)
+    for name, figures in {
+        "steel": (7850.0, 210e9, 0.3),
+        "42CrMo4": (7840.0, 210e9, 0.3),
+        "Ti-6Al-4V": (4430.0, 114e9, 0.34),
+        "aluminium 6061": (2700.0, 69e9, 0.33),
+        "aluminium 7075": (2810.0, 71e9, 0.33),
+        "Inconel 718": (8220.0, 200e9, 0.29),
+    }.items()
+}
+
+
 @dataclass(frozen=True, slots=True, repr=False)
 class ShaftSection(Part):
     """A cylindrical or conical piece of shaft; the sections follow each other from the left end to
@@ -151,7 +170,7 @@ class ShaftSection(Part):
     material: Annotated[
         Material,
         Text("the name of a [material.NAME] table"),
-        "name of a [material.NAME] table; default: steel",
+        "name of a [material.NAME] table, or of a known material; default: steel",
     ] = field(default_factory=Material)
     label: Annotated[Words, "a name for drawings and messages"] = ""
     end_outer_diameter: Annotated[

@@ -24,8 +24,8 @@ from ambrose.machine.description import MachineDescription
 from ambrose.machine.file.tables import Table, machine_file, table_below
 from ambrose.machine.machine import Machine
 from ambrose.machine.ordinary_file import TOML_BYTES, TOML_DEPTH, TOML_ENTRIES, excess, read_text
-from ambrose.machine.part import Material, ShaftSection
-from ambrose.machine.units import SHOWN, called, listed, meant, shown, suggestion
+from ambrose.machine.part import MATERIALS, Material, ShaftSection
+from ambrose.machine.units import SHOWN, called, listed, meant, quoted, shown, suggestion
 from ambrose.machine.validation.machine import InvalidMachine
 
 # A parsed TOML document -> Machine: pydantic's findings put into the words of the file, and nouns
@@ -95,10 +95,8 @@ def named_materials(document: Mapping[str, Any]) -> dict[str, Material]:
 
 
 def _materials(file: Table) -> dict[str, Material]:
-    return {
-        name: Material(name=name, **table.given())
-        for name, table in (dict(file)["material"] or {}).items()
-    }
+    own = (dict(file)["material"] or {}).items()
+    return {**MATERIALS, **{name: Material(name=name, **table.given()) for name, table in own}}
 
 
 def _shaft(
@@ -116,9 +114,7 @@ def _shaft(
         if material in materials:
             stated["material"] = materials[material]
         elif material is not None:
-            remedy = suggestion(
-                material, materials, f"there is no material table; add [material.{material}]"
-            )
+            remedy = f"{suggestion(material, materials)}; or add [material.{quoted(material)}]"
             complaints.append(f'[[shaft]] {i + 1}: material "{material}" is unknown; {remedy}')
         sections.append(ShaftSection(**{"start": end, **stated}))
         end = sections[-1].start + sections[-1].length

@@ -31,7 +31,7 @@ from ambrose.machine.kinds import Quantity
 from ambrose.machine.machine import Machine
 from ambrose.machine.ordinary_file import write_text
 from ambrose.machine.parameters import parse_parameter
-from ambrose.machine.part import SEAL_AXES
+from ambrose.machine.part import MATERIALS, SEAL_AXES
 from ambrose.machine.units import DIMENSIONS, called, rewrite_quantity, shown
 
 # The values of a machine file as fields of a form: where each stands, how it is written, what a
@@ -232,6 +232,10 @@ def _update_document(document: tomlkit.TOMLDocument, machine: Machine) -> None:
         name = entries[i].get("material") if i < len(entries) else None
         if name is not None and materials.get(str(name)) == section.material:
             whole["shaft"][i]["material"] = given["shaft"][i]["material"] = str(name)
+    for known in {*whole["material"]} - {*document.get("material", {})}:
+        if MATERIALS.get(known) == materials.get(known):  # known without a table
+            del whole["material"][known]
+            given.get("material", {}).pop(known, None)
     for seal, every in zip(given.get("seal", ()), whole["seal"], strict=False):
         table = seal.get("table", {})
         for key in ("scales_with_pressure", *table):

@@ -17,7 +17,13 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.attachment import attached, attachments, by_table
-from ambrose.machine.description import BEAM_THEORIES, BEARING_TERMS, MachineDescription
+from ambrose.machine.description import (
+    BEAM_THEORIES,
+    BEARING_TERMS,
+    DAMPINGS,
+    MODAL_DAMPING,
+    MachineDescription,
+)
 from ambrose.machine.ordinary_file import SEAL_POLES, excess
 from ambrose.machine.parameters import Parameter, find_uncertain
 from ambrose.machine.part import (
@@ -714,6 +720,19 @@ def _whole(machine: MachineDescription) -> Iterator[str]:
             f"{machine.modal_damping:g}",
             "a ratio from 0 to below 1",
             remedy,
+        )
+    stated = {key: getattr(machine, key) for key in DAMPINGS}
+    for key, value in stated.items():
+        if not value >= 0:
+            yield complaint("[machine]", key, f"{value:g}", "0 or more", "it would be no damping")
+    if any(stated.values()) and machine.modal_damping != MODAL_DAMPING:
+        given = ", ".join(key for key, value in stated.items() if value)
+        yield complaint(
+            "[machine]",
+            "modal_damping",
+            f"{machine.modal_damping:g}",
+            f"left out beside {given}",
+            "state the damping in one way; [[bending_mode]] has that of single modes",
         )
     if machine.beam_theory not in BEAM_THEORIES:
         known = f"one of {', '.join(BEAM_THEORIES)}"

@@ -113,8 +113,15 @@ class FreeModes:
     frequencies: np.ndarray
 
     def damping_ratios(self, machine: MachineDescription) -> np.ndarray:
-        """Of every mode (4 + 2 n,): what was measured, else modal_damping."""
-        ratios = np.full(len(self.frequencies), machine.modal_damping)
+        """Of every mode (4 + 2 n,): what was measured, else Rayleigh's and hysteretic damping, else
+        modal_damping. Rigid modes, of frequency 0, have none.
+        """
+        # C = alpha M + beta K: 2 zeta w = alpha + beta w^2; loss factor: K (1 + j eta) at s = j w
+        alpha, beta, eta = machine.rayleigh_alpha, machine.rayleigh_beta, machine.loss_factor
+        w = np.where(self.frequencies > 0, self.frequencies, np.inf)
+        ratios = np.full(len(w), machine.modal_damping)
+        if alpha or beta or eta:
+            ratios = alpha / (2 * w) + beta * self.frequencies / 2 + eta / 2
         for mode in machine.bending_modes:
             if mode.damping is not None:
                 ratios[2 + 2 * mode.number : 4 + 2 * mode.number] = mode.damping
