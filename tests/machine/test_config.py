@@ -405,6 +405,7 @@ def test_small_machine_has_every_key_of_every_table():
     known = set(keys_of(machine_file()))
     written = set(keys_in(tomllib.loads(SMALL), machine_file()))
     alternatives = {
+        *("machine.rayleigh_alpha", "machine.rayleigh_beta", "machine.loss_factor"),
         *(
             "bearing.magnet.polarity",
             "bearing.magnet.bias_turns",

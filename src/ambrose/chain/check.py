@@ -44,6 +44,7 @@ from ambrose.model.assemble import (
     modes_judged,
     named_point,
     seal_coefficients,
+    seen_modes,
 )
 from ambrose.model.axial import CORNER, at_point, core_lags, rotor_mass, sides, tilt_stiffness
 from ambrose.model.effect import Effect
@@ -52,10 +53,8 @@ from ambrose.model.effects.rotor import (
     MassProperties,
     Rotor,
     finite_element_rotor,
-    free_modes,
     mass_properties,
     mesh_error,
-    plane_rows,
 )
 from ambrose.model.effects.seal import celsius_for_kelvin
 from ambrose.model.effects.stations import Clearance, Load, Stage
@@ -1077,7 +1076,7 @@ def _places(machine: Machine, rotor: Rotor) -> Iterator[str]:
             f"the bearings stand {1e3 * np.ptp(places):.3g} mm apart: nothing carries the "
             "rotor's tilting; check position"
         )
-    for bearing, _, frequency, at, measured in _seen(machine, rotor, 1):
+    for bearing, _, frequency, at, measured in seen_modes(machine, 1):
         what = f"the first bending mode ({frequency / HERTZ:.4g} Hz)"
         if abs(measured) < _NODE:
             yield (
@@ -1092,23 +1091,6 @@ def _places(machine: Machine, rotor: Rotor) -> Iterator[str]:
             )
 
 
-def _seen(
-    machine: Machine, rotor: Rotor, count: int
-) -> Iterator[tuple[str, int, float, float, float]]:
-    """Bearing, bending mode, its frequency [rad/s], and its deflection at the magnet and as the
-    sensors read it, both of its largest one, for the lowest ``count`` modes of the rotor at rest.
-    """
-    modes = free_modes(rotor, min(count, bending_modes_of(rotor)))
-    shapes = _plane(modes.shapes)[:, 2:]
-    for bearing in machine.bearings:
-        pairs = [pair for pair in machine.sensor_pairs if pair.bearing == bearing.name]
-        places = [bearing.position, *(pair.position for pair in pairs)]
-        values = plane_rows(rotor, places)[0] @ shapes / np.abs(shapes[0::2]).max(axis=0)
-        measured = np.array([pair.weight for pair in pairs]) @ values[1:]
-        for k, frequency in enumerate(modes.frequencies[4::2]):
-            yield bearing.name, k + 1, float(frequency), float(values[0, k]), float(measured[k])
-
-
 def _higher_modes(machine: Machine, rotor: Rotor) -> Iterator[str]:
     """The bending modes above the first, as far as the loop reaches, that a magnet hardly moves, or
     that it and its sensor see with opposite signs: a design needs them in its model.
@@ -1116,7 +1098,7 @@ def _higher_modes(machine: Machine, rotor: Rotor) -> Iterator[str]:
     corner = machine.amplifier.bandwidth or machine.amplifier.natural_frequency or np.inf
     count = int((judged_bending(machine) <= corner).sum())
     modes: dict[str, list[str]] = {}
-    for bearing, mode, frequency, at, measured in _seen(machine, rotor, count):
+    for bearing, mode, frequency, at, measured in seen_modes(machine, count):
         if mode == 1:
             continue
         what = ""

@@ -47,7 +47,7 @@ from ambrose.machine.file.update import machine_text, save_machine
 from ambrose.machine.machine import Machine
 from ambrose.machine.part import Disc, Notch, PidSettings, RotorModel, Sensor, ShaftSection
 from ambrose.machine.units import DIMENSIONS, read_quantity
-from ambrose.model.assemble import assemble
+from ambrose.model.assemble import assemble, bending_modes_of, in_plane
 from ambrose.model.effects.rotor import (
     STANDARD_GRAVITY,
     finite_element_rotor,
@@ -205,7 +205,7 @@ class Known:
     """What is known beside the rotor, SI; None: chosen. load [N]: of a bearing, the force that it
     must reach; gap [m] of the magnets; force_per_current [N/A], negative_stiffness [N/m] and
     bias_current [A] of every bearing; rate [Hz] of the controller. vertical: the rotor stands, and
-    its weight loads no radial bearing.
+    its weight loads no radial bearing. sensors [m]: a place for each bearing (empty: chosen).
     """
 
     load: float | None = None
@@ -215,10 +215,11 @@ class Known:
     negative_stiffness: float | None = None
     rate: float | None = None
     vertical: bool = False
+    sensors: tuple[float, ...] = ()
 
 
 _DIMENSIONS = {
-    **dict.fromkeys(("length", "diameter", "gap", "bearings"), "length"),
+    **dict.fromkeys(("length", "diameter", "gap", "bearings", "sensors"), "length"),
     "speed": "angular rate",
     "load": "force",
     "bias_current": "current",
@@ -226,6 +227,8 @@ _DIMENSIONS = {
     "negative_stiffness": "stiffness",
 }
 _DISC = ("length", "mass", "length")
+_MODES = 8  # bending modes that are looked at
+_REACH = 2 * math.pi * 500  # [rad/s], a third of the usual amplifier's corner
 _SLENDER = 100  # length over diameter that is a wire rather than a rotor
 
 
@@ -235,7 +238,9 @@ def quantity_of(key: str, value: Any) -> float:
         number = read_quantity(value, DIMENSIONS[_DIMENSIONS[key]])
     except ValueError as error:
         raise InvalidInput(f"{key} {error}") from None
-    return check_positive(number, key, "give its size", zero_allowed=key in {"speed", "bearings"})
+    return check_positive(
+        number, key, "give its size", zero_allowed=key in {"speed", "bearings", "sensors"}
+    )
 
 
 def quantities_of(key: str, text: str) -> tuple[float, ...]:
@@ -251,6 +256,7 @@ def new_machine(
     speed: float | str = 0.0,
     discs: Sequence[Sequence[Any]] = (),
     bearings: Sequence[float | str] = (),
+    sensors: Sequence[float | str] = (),
     vertical: bool = False,
     rate: float | None = None,
     **known: Any,
@@ -260,10 +266,10 @@ def new_machine(
 
     Numbers in SI, or texts with a unit ("600 mm", "12000 rpm"). length and diameter of the shaft,
     speed: the highest; discs: (position, mass, diameter) each; bearings: their positions (none:
-    two, near the ends). known: load [N] that a bearing must reach, gap [m], bias_current [A],
-    force_per_current [N/A], negative_stiffness [N/m]; rate [Hz] of the controller. What was chosen
-    is marked in ``machine.assumed`` with its reason; ``save_machine`` writes the file with comments
-    and units. Raises InvalidInput.
+    two, near the ends); sensors: one for each bearing (none: beside them). known: load [N] that a
+    bearing must reach, gap [m], bias_current [A], force_per_current [N/A], negative_stiffness
+    [N/m]; rate [Hz] of the controller. What was chosen is marked in ``machine.assumed`` with its
+    reason; ``save_machine`` writes the file with comments and units. Raises InvalidInput.
     """
     unknown = [key for key in known if key not in _DIMENSIONS]
     if unknown:
@@ -281,7 +287,8 @@ def new_machine(
         quantity_of("speed", speed),
     )
     quantities = {key: quantity_of(key, value) for key, value in known.items() if value is not None}
-    return machine_of_rotor(rotor, Known(vertical=vertical, rate=rate, **quantities))
+    seen = tuple(quantity_of("sensors", place) for place in sensors)
+    return machine_of_rotor(rotor, Known(vertical=vertical, rate=rate, sensors=seen, **quantities))
 
 
 def text_of_file(path: Path, speed: str = "") -> str:
@@ -296,7 +303,6 @@ def text_of_file(path: Path, speed: str = "") -> str:
     return machine_text(machine_of_rotor(replace(rotor, speed=known or rotor.speed)))
 
 
-@named_failure("the new machine")
 def is_machine(source: str | Path) -> bool:
     """Whether it is a machine file or a bundled machine's name, no rotor model. Raises
     InvalidInput.
@@ -333,6 +339,7 @@ def machine_file_of(
     return str(output), ", ".join(rotor.left_out) or "nothing"
 
 
+@named_failure("the new machine")
 def machine_of_rotor(rotor: RotorModel, known: Known | None = None) -> Machine:
     """The rotor on magnetic bearings: what neither says is chosen, and marked in ``assumed``.
     Raises InvalidInput.
@@ -360,6 +367,13 @@ def machine_of_rotor(rotor: RotorModel, known: Known | None = None) -> Machine:
             f"{len(places)} with two at one place",
             "apart from each other",
             "name every place once",
+        )
+    if known.sensors and len(known.sensors) != len(places):
+        raise invalid(
+            "sensors",
+            f"{len(known.sensors)} places",
+            f"{len(places)}, one for each bearing",
+            "name them in the order of the bearings",
         )
     slim = bare.length / max(section.outer_diameter for section in bare.shaft)
     if slim > _SLENDER:
@@ -396,7 +410,9 @@ def machine_of_rotor(rotor: RotorModel, known: Known | None = None) -> Machine:
             replace(bearing, name=name, position=place)
             for name, place in zip(names, places, strict=True)
         ),
-        sensors=_sensors(bare, names, places, reasons),
+        sensors=tuple(map(Sensor, names, known.sensors))
+        if known.sensors
+        else _sensors(bare, names, places, reasons),
         amplifier=Amplifier("first", corner),
         operation=Operation(
             (OperatingPoint(speed, label="top speed"), *points) if speed else points, (0.0, speed)
@@ -547,26 +563,32 @@ def _stiffness(bearing: MagneticBearing) -> float:
 def _sensors(
     bare: MachineDescription, names: Sequence[str], places: Sequence[float], reasons: dict[str, str]
 ) -> tuple[Sensor, ...]:
-    """Beside each bearing, on the side where the two lowest bending modes move both the same way,
-    else at its middle.
+    """Beside each bearing, on the side where all bending modes within reach move as at the magnet,
+    two at least; else at its middle, as a pair on both its sides reads it.
     """
-    reasons["sensor.position"] = (
-        "next to the bearing, where both lowest bending modes move in the direction of the magnet"
-    )
     rotor = finite_element_rotor(bare)
-    shapes = free_modes(rotor, 2).shapes
-    plane = np.empty((2 * rotor.n_nodes, 2))
-    plane[0::2], plane[1::2] = shapes[0::4, 4::2], shapes[3::4, 4::2]
-    long, positions = bare.length, []
+    modes = free_modes(rotor, min(_MODES, bending_modes_of(rotor)))
+    count = max(2, int((modes.frequencies[4::2] <= _REACH).sum()))
+    plane = in_plane(modes)[:, 2 : 2 + count]
+    long, positions, between = bare.length, [], []
     for name, place in zip(names, places, strict=True):
         outward = -1.0 if place < long / 2 else 1.0
         sides = [
             place + side * outward * share * long for share in (0.04, 0.02) for side in (1.0, -1.0)
-        ] + [place]
-        clear = [at for at in sides if 0.01 * long <= at <= 0.99 * long] or [place]
+        ]
+        clear = [at for at in sides if 0.01 * long <= at <= 0.99 * long]
         w = plane_rows(rotor, [place, *clear])[0] @ plane
-        same = [bool((w[0] * row > 0).all()) for row in w[1:]]
-        positions.append(Sensor(name, rounded(clear[same.index(True)] if any(same) else place, 4)))
+        at = next(
+            (at for at, row in zip(clear, w[1:], strict=True) if (w[0] * row > 0).all()), None
+        )
+        between += [name] * (at is None)
+        positions.append(Sensor(name, rounded(place if at is None else at, 4)))
+    reasons["sensor.position"] = (
+        f"next to the bearing, where the lowest {count} bending modes move in the direction of the "
+        "magnet"
+        + f"; of {', '.join(between)} nowhere: at its middle, the mean of a pair on both its sides"
+        * bool(between)
+    )
     return tuple(positions)
 
 

@@ -122,6 +122,11 @@ _SHAFT = ("length", "diameter", "speed")
     help='Positions from the left end, such as "75 mm, 525 mm"; default: two, near the ends.',
 )
 @click.option(
+    "--sensors",
+    help='Positions of the sensors, one for each bearing, such as "60 mm, 540 mm"; default: beside '
+    "the bearings, where bending modes move as at the magnet.",
+)
+@click.option(
     "--vertical",
     is_flag=True,
     help="The rotor is vertical; default: horizontal, its weight loads the bearings.",
@@ -179,11 +184,12 @@ def new(file: Path, force: bool, as_json: bool, **answers: Any) -> None:
         answers = _asked(answers)
     rate = answers.pop("rate_hz")
     discs = answers.pop("discs")
-    bearings = answers.pop("bearings")
+    bearings, sensors = answers.pop("bearings"), answers.pop("sensors")
     machine = new_machine(
         name=answers.pop("name") or file.stem.strip() or "my machine",
         discs=[_split(disc, "--disc", "position, mass, diameter", 3) for disc in discs],
         bearings=_split(bearings, "--bearings", "positions", None) if bearings else (),
+        sensors=_split(sensors, "--sensors", "positions", None) if sensors else (),
         rate=rate,
         **{key: _united(key, value) for key, value in answers.items()},
     )

@@ -79,6 +79,40 @@ def judged_bending(machine: Machine) -> np.ndarray:
     return frequencies[frequencies <= highest_verified(machine)]
 
 
+def seen_modes(machine: Machine, count: int) -> Iterator[tuple[str, int, float, float, float]]:
+    """Bearing, bending mode, its frequency [rad/s], and its deflection at the magnet and as the
+    sensors read it, both of its largest one, for the lowest ``count`` modes of the rotor at rest.
+    """
+    rotor = finite_element_rotor(machine)
+    modes = free_modes(rotor, min(count, bending_modes_of(rotor)))
+    shapes = in_plane(modes)[:, 2:]
+    for bearing in machine.bearings:
+        pairs = [pair for pair in machine.sensor_pairs if pair.bearing == bearing.name]
+        places = [bearing.position, *(pair.position for pair in pairs)]
+        values = plane_rows(rotor, places)[0] @ shapes / np.abs(shapes[0::2]).max(axis=0)
+        measured = np.array([pair.weight for pair in pairs]) @ values[1:]
+        for k, frequency in enumerate(modes.frequencies[4::2]):
+            yield bearing.name, k + 1, float(frequency), float(values[0, k]), float(measured[k])
+
+
+def driven_modes(machine: Machine) -> dict[int, tuple[float, str]]:
+    """The bending modes within the loop's reach that are driven by what damps the others: frequency
+    [rad/s], and the bearing whose magnet and sensor move most against each other.
+
+    A force -d y' of every bearing, y what its sensors read, gives mode k the damping
+    d sum w_magnet w_sensor: where the sum is below zero it is driven.
+    """
+    corner = machine.amplifier.bandwidth or machine.amplifier.natural_frequency or np.inf
+    found: dict[int, list[tuple[float, float, str]]] = {}
+    for bearing, mode, frequency, at, measured in seen_modes(
+        machine, int((judged_bending(machine) <= corner).sum())
+    ):
+        found.setdefault(mode, []).append((at * measured, frequency, bearing))
+    return {
+        mode: min(items)[1:] for mode, items in found.items() if sum(item[0] for item in items) < 0
+    }
+
+
 def modes_judged(plant: Plant) -> int:
     """How many bending modes per plane a model needs for the sensitivity to be judged on it: all
     of ``judged_bending``, and one more.

@@ -36,7 +36,7 @@ from ambrose.law.loop import DEFAULT, Timing, check_rate, closed_loop, timing_of
 from ambrose.machine.criteria import SENSITIVITY, demand
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine, require_magnets
-from ambrose.model.assemble import assemble, bending_modes_of, judged_bending
+from ambrose.model.assemble import assemble, bending_modes_of, driven_modes, judged_bending
 from ambrose.model.effects.rotor import free_modes
 from ambrose.model.plant import Plant
 from ambrose.model.uncertainty import reduce_from
@@ -51,6 +51,7 @@ from ambrose.synthesis.order_selection import reduce_order
 _ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth")
 _PEAK = "maximum singular value of a sensitivity"
 _TRIED = 6  # bending modes
+_SHOWN = 3  # of those that bar a design
 _TWO_PI = 2 * np.pi  # rad/s per Hz
 
 
@@ -469,6 +470,9 @@ def design(
     except NumericalFailure as error:
         if why := why_none(plant, timing):
             raise NumericalFailure(f"{error}; {why}") from error
+        if bar := _barred(plant.machine):
+            first = str(error).partition(";")[0]
+            raise NumericalFailure(f"{first}; {bar}") from error
         raise
     modes = getattr(chosen, "bending_modes", None) or 0
     modes = int(result.certificate.margins.get("bending_modes", modes))
@@ -480,6 +484,24 @@ def design(
     envelope = getattr(chosen, "envelope", None)
     result = explained(plant, result, timing, modes, envelope=envelope)
     return replace(result, provenance=provenance(plant, chosen))
+
+
+def _barred(machine: Machine) -> str:
+    """The bending modes that bar a design, the places that make them do so, and what to move."""
+    if not machine.bearings or not (driven := driven_modes(machine)):
+        return ""
+    modes = [
+        f"bending mode {mode} ({frequency / _TWO_PI:.3g} Hz), in which magnet and sensor {bearing} "
+        "move oppositely"
+        for mode, (frequency, bearing) in driven.items()
+    ]
+    names = dict.fromkeys(bearing for _, bearing in driven.values())
+    places = {bearing.name: 1e3 * bearing.position for bearing in machine.bearings}
+    moved = ", ".join(f"sensor {name} towards {places[name]:.4g} mm" for name in names)
+    return (
+        f"what damps the others drives {'; '.join(modes[:_SHOWN])}; move {moved}, to the magnet, "
+        "or read on both its sides"
+    )
 
 
 def another_point(plant: Plant, method: Method) -> str:

@@ -152,13 +152,13 @@ def test_a_line_says_that_the_points_are_none():
     assert k["scatter"] > 10  # a square root is no line, and the band is as wide as that
     made = lined.updated().machine
     assert made.seals[0].table.axes[0][1] == (0.0, PRESSURES[-1])
-    assert "go on to" not in lined.seal.note
+    assert "extrapolated" not in lined.seal.note
     assert any(
         one.code == Code.SEAL_SCATTER and "k at" in one.what and "form table" in one.remedy
         for one in lined.findings
     )
     higher = replace(lined, seal=replace(lined.seal, highest=3e5))
-    assert "go on to 300000 Pa; the highest pressure measured is 170000 Pa" in higher.comment
+    assert "extrapolated to 300000 Pa; the highest measured pressure is 170000 Pa" in higher.comment
 
 
 @pytest.mark.usefixtures("values_alone")
