@@ -136,7 +136,8 @@ def synthesize(
         raise invalid("--machine-file", str(machine_file), "left out for the thrust axis", remedy)
     claim(controller_file=output, machine_file=machine_file)
     # a peak names the point it is of: the worst one, which verify finds, is another
-    where, plant, thrust = "", None, None
+    where, plant = "", None
+    thrust = None
     with progress_shown(as_json) as progress:
         if narrowed() is None and block_options.base is None:
             for along in [*description.groups.values()][1:]:
