@@ -35,7 +35,7 @@ def run(smoke: bool = False) -> Iterator[dict[str, Any]]:
         {"iterations": 1, "omega": np.geomspace(1e-2, 1e3, 12)} if smoke else {}
     )
     yield _published(1 if smoke else 3, **limits)
-    yield _polished(2.0 if smoke else 60.0, **limits)
+    yield _polished(0.5 if smoke else 60.0, **limits)
     if not smoke:
         yield _eight_reals()
 

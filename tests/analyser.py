@@ -23,14 +23,14 @@ class Truth:
     rate: float
 
     @staticmethod
-    def of(file, rate, magnets=(0.0, 0.0), mode=0.0, casing=None, speed=0.0):
+    def of(file, rate, magnets=(0.0, 0.0), mode=0.0, casing=None, speed=0.0, modes=6):
         numbers = numbers_of(file)
         for bearing in numbers["bearings"]:
             for key, part in zip(("ki", "ks"), magnets, strict=True):
                 bearing[key] = np.asarray(bearing[key]) * (1 + part)
         for section in numbers["shaft"]:
             section["youngs_modulus"] *= (1 + mode) ** 2
-        rig = Rig(numbers, speed=speed, linear=True)
+        rig = Rig(numbers, speed=speed, modes=modes, linear=True)
         A, B, C = rig.A, rig.Bv, rig.Cy
         a = len(rig.axes)
         if casing is not None:
@@ -61,19 +61,27 @@ class Truth:
         found = np.concatenate(found)
         return np.unique(found[(found >= low) & (found <= high)].round(3))
 
-    def light_poles(self, law):
-        """Poles [rad/s] of the running loop, with its delay, that make resonances."""
+    def poles(self, law):
+        """Of the running loop, with its sample of delay, in z."""
         Ad, Bd, Cy = self.held
         A, B, C, D = law
-        a = Bd.shape[1]
+        n, k, a = len(Ad), len(A), Bd.shape[1]
         loop = np.block(
             [
-                [Ad, np.zeros((len(Ad), len(A))), Bd],
-                [-B @ Cy, A, np.zeros((len(A), a))],
+                [Ad, np.zeros((n, k)), Bd],
+                [-B @ Cy, A, np.zeros((k, a))],
                 [-D @ Cy, C, np.zeros((a, a))],
             ]
         )
-        s = np.log(np.linalg.eigvals(loop).astype(complex) + 1e-300) * self.rate
+        return np.linalg.eigvals(loop)
+
+    def radius(self, law):
+        """The largest modulus of these poles."""
+        return np.abs(self.poles(law)).max()
+
+    def light_poles(self, law):
+        """Poles [rad/s] of the running loop that make resonances."""
+        s = np.log(self.poles(law).astype(complex) + 1e-300) * self.rate
         return s[(s.imag > 0) & (np.abs(s.real) < 0.1 * np.abs(s))]
 
     def plant(self, hertz):

@@ -80,6 +80,7 @@ def test_every_module_runs(name):
         assert item["ours"] > 0 and {"name", "peer", "peer_name", "error"} <= set(item)
 
 
+@pytest.mark.study  # what verify says, against members of its own: tests/judge/test_sampled_box.py
 def test_no_member_of_a_box_lies_above_what_verify_says():
     """The attack of benchmarks/box_attack.py, with few members: corners, samples, exact peaks."""
     row = attack("turbomolecular-pump", members=40)

@@ -214,13 +214,19 @@ def test_study_compares_the_controllers(study):
         assert words in page
 
 
+def at_one_point(text):
+    """A machine file with the first of its operating points, the nominal one."""
+    second = text.index("[[operation.point]]", text.index("[[operation.point]]") + 1)
+    return text[:second] + text[text.index("[[tolerance]]") :]
+
+
 def test_study_resumes_with_a_kept_controller_and_redesigns_a_damaged_one(tmp_path, monkeypatch):
     def elsewhere(*arguments):
         raise InvalidInput("commissioning has tests of its own")
 
     monkeypatch.setattr("ambrose.chain.study.methods_for", lambda plant: ("pid",))
     monkeypatch.setattr("ambrose.chain.study.commission", elsewhere)
-    text = coarse_text(RIG)
+    text = at_one_point(coarse_text(RIG))
     machine = tmp_path / "pid-only.toml"
     # requirements, weights and tolerances stand last
     machine.write_text(text[: text.index("[[tolerance]]")])
@@ -251,7 +257,7 @@ def test_an_infeasible_design_leaves_the_other_controllers_their_verdict(tmp_pat
     monkeypatch.setattr("ambrose.chain.stages.design", only_pid)
     # in this process, where the method is exchanged
     monkeypatch.setattr("ambrose.chain.study.processors", lambda: 1)
-    (tmp_path / "rig.toml").write_text(coarse_text(RIG))
+    (tmp_path / "rig.toml").write_text(at_one_point(coarse_text(RIG)))
     done = call("study", tmp_path / "rig.toml", "-o", tmp_path, "--json")
     assert done.exit_code == 1, done.stderr
     found = json.loads(done.stdout)

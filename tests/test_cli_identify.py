@@ -81,6 +81,7 @@ def identified(place):
     return done, out, page
 
 
+@pytest.mark.usefixtures("values_alone")
 def test_the_chain_from_a_record_to_a_controller(identified, tmp_path):
     done, out, page = identified
     # 1: the magnets' curvature may show in the residuals; not where what is missing moves the
@@ -129,6 +130,7 @@ def test_the_chain_from_a_record_to_a_controller(identified, tmp_path):
     assert "twice nominal pressure" in made.stdout + made.stderr
 
 
+@pytest.mark.usefixtures("values_alone")
 def test_json_and_repeats(place, tmp_path):
     done = call(
         "identify",

@@ -31,6 +31,7 @@ from ambrose.report import page as document
 from ambrose.report.comparison import commissioning_section
 from ambrose.report.page import Page
 from ambrose.rig.trial import evaluate
+from coarse import coarse
 from needs import needs
 
 LABELS = ("nominal pressure", "zero pressure")
@@ -39,7 +40,7 @@ LABELS = ("nominal pressure", "zero pressure")
 @pytest.fixture(scope="module")
 def machine():
     """The seal rig without its highest pressure, the seal's stiffness known to 20 %."""
-    rig = load_machine("seal-rig")
+    rig = coarse("seal-rig")
     points = tuple(point for point in rig.operation.points if point.label in LABELS)
     return replace(
         rig,
@@ -72,6 +73,8 @@ def directory(tmp_path_factory):
 def commissioned(plants, reference, directory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(stage, "METHOD", "pid")
+        # what the model may lack is looked for in tests of its own
+        patch.setattr("ambrose.identification.loop.suspects", lambda *given, **how: ())
         return commission(plants, reference, directory, lambda text: None)
 
 
@@ -152,6 +155,7 @@ def test_it_is_judged_as_it_runs(commissioned):
     assert commissioned.deployment.problems == ()
 
 
+@pytest.mark.usefixtures("values_alone")
 def test_a_second_run_takes_the_controller_up(
     commissioned, plants, reference, directory, monkeypatch
 ):

@@ -278,6 +278,7 @@ def replace_gain(K, factor):
     return amb.StateSpace(K.A, K.B * factor, K.C, K.D * factor, K.inputs, K.outputs, K.dt)
 
 
+@pytest.mark.usefixtures("values_alone")
 def test_it_runs_in_verify_simulate_identify_and_export(place):
     path, record = place / "run.json", place / "run.h5"
     call(

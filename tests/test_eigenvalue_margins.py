@@ -110,12 +110,13 @@ class TestLoopMargins:
             margins.phase_margin, np.pi - 3 * np.arctan(np.sqrt(2.0 ** (2 / 3) - 1)), rtol=1e-6
         )
 
-    def test_random_loops_reach_instability_exactly_at_the_margin(self):
+    @pytest.mark.parametrize("count", [40, pytest.param(150, marks=pytest.mark.study)])
+    def test_random_loops_reach_instability_exactly_at_the_margin(self, count):
         """Scaled or turned by a little less than the margin the loop is stable, by a little more it
         is not.
         """
         step, limits = 1e-6, 0
-        for loop in random_loops(150):
+        for loop in random_loops(count):
             margins = loop_margins(loop)
 
             def scaled(k: float, loop=loop) -> float:
@@ -137,7 +138,7 @@ class TestLoopMargins:
                 max(margins.gain_reduction, 0.02), min(margins.gain_margin, 50.0), 12
             )[1:-1]:
                 assert scaled(inside) < 0
-        assert limits > 100
+        assert limits > 2 * count / 3
 
     def test_random_loops_against_python_control(self):
         found = 0

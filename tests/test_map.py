@@ -150,7 +150,7 @@ def test_refusals_and_what_there_is_not():
 
 def test_what_only_a_continuous_loop_holds_is_not_stable(tmp_path):
     """The turboexpander's PID, of which nobody states a rate: lost at the one that others assume."""
-    name = coarse_file("turboexpander")
+    name = coarse_file("turboexpander", tolerances=False)
     call("synthesize", name, "--method", "pid", "-o", tmp_path / "pid.json")
     words = ["map", name, "--controller", tmp_path / "pid.json", "--what", "poles"]
     done = call(*words)

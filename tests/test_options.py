@@ -9,6 +9,7 @@ import sys
 from dataclasses import dataclass, fields
 
 import click
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -151,3 +152,11 @@ def test_a_method_refuses_what_did_nothing():
     ):
         with pytest.raises(InvalidInput, match=f"left out with method {kind}; it goes with"):
             choose(methods(), "method", kind, options)
+
+
+def test_an_array_is_no_plain_value():
+    """Whose == is no truth: it ended in a ValueError of numpy's."""
+    with pytest.raises(InvalidInput, match="unknown is an array of 1"):
+        amb.Youla(unknown=np.array("x"))
+    with pytest.raises(InvalidInput, match="average is an array of 4"):
+        amb.StaticLoads(average=np.full((2, 2), np.nan))

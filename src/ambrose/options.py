@@ -75,11 +75,13 @@ class Options:
         from ambrose.core.checks import invalid
 
         usual = {item.name: item.default for item in fields(cls)}
-        stated = {
-            name: value
-            for name, value in given.items()
-            if value is not None and not (usual[name] is not None and value == usual[name])
-        }
+
+        def stated_as(name: str, value: Any) -> bool:
+            """Whether it is another than the default; an array is, whose == is no truth."""
+            alike = isinstance(value, type(usual[name]) | int | float)
+            return value is not None and not (alike and value == usual[name])
+
+        stated = {name: value for name, value in given.items() if stated_as(name, value)}
         for names, other, together, remedy in cls.rules:
             wrong = [name for name in names if name in stated and (other in stated) is not together]
             if wrong:
@@ -110,6 +112,9 @@ def check_option(item: Field[Any], value: Any, name: str) -> None:
     known = option_of(item)
     if value is None and item.default is None:
         return
+    several = any(word in str(item.type) for word in ("Sequence", "ArrayLike"))
+    if type(value).__name__ == "ndarray" and not (value.ndim and several):
+        raise invalid(name, f"an array of {value.size}", f"{item.type}", "give a plain value")
     for part in (value if known.many else (value,)) if known.choices else ():
         # an array compares by element: what is no word (or number) of the choices' kind is none
         if not any(isinstance(part, type(one)) and part == one for one in known.choices):

@@ -82,6 +82,7 @@ def test_the_rotor_between_seal_and_sensors():
     )
 
 
+@pytest.mark.usefixtures("values_alone")
 def test_magnets_stated_without_load_are_found_at_it():
     """A rotor that hangs through, on magnets of a data sheet: the file that identify writes holds
     the same magnets.

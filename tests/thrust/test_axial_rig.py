@@ -135,7 +135,7 @@ def test_a_record_tells_the_magnets_and_the_file_takes_them(tmp_path):
     assert load_machine(path).bearings == known.whole.bearings
 
 
-@pytest.mark.parametrize("amplitude", [0.1, 0.3])
+@pytest.mark.parametrize("amplitude", [pytest.param(0.1, marks=pytest.mark.study), 0.3])
 def test_a_collar_that_the_thrust_holds_off_centre_is_identified_where_it_stands(amplitude):
     """Without integral action; the magnets' own bend, which goes with the square of the excitation,
     is taken out. Against the slopes of the rig's circuit at the collar's mean place.

@@ -462,11 +462,13 @@ def test_commands_say_how_the_axis_is_addressed():
     from ambrose.cli import main
 
     example = str(Path(__file__).parents[2] / "examples" / "expander-five-axes.toml")
-    radial = CliRunner().invoke(main, ["check", example, "--json"])
-    assert f"along the shaft: {example}#axial" in radial.stderr
+    note = "the radial axes; --axes thrust takes the thrust axis"
+    for narrowed in ((), ("--axes", "radial"), ("--axes", "thrust")):
+        of_one = CliRunner().invoke(main, ["map", example, *narrowed, "--controller", "none.json"])
+        assert (note in of_one.stderr) is not bool(narrowed)
     axial = CliRunner().invoke(main, ["check", f"{example}#axial", "--json"])
     assert axial.exit_code == 0
-    assert "along the shaft:" not in axial.stderr
+    assert note not in axial.stderr
     told = json.loads(axial.stdout)
     assert told["unstable_poles_rad_s"][0][0] < told["laminated_pole_rad_s"]
     assert min(told["capacity_N"]) > 2 * max(map(abs, told["load_N"]))

@@ -16,6 +16,7 @@ from click.testing import CliRunner
 from jsonschema import Draft202012Validator
 
 import ambrose as amb
+from ambrose.chain.study import Study
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.checks import OVER_TOLERANCES, Check, Checks, Verification
@@ -27,7 +28,7 @@ from ambrose.report.figures.motion import stations
 from ambrose.report.record import record_page
 from ambrose.report.tables import deciding_verdict, unchecked
 from ambrose.rig.scenario import Scenario, bundled_scenarios, load_scenario
-from ambrose.rig.trial import simulate_scenario
+from ambrose.rig.trial import Candidate, simulate_scenario
 
 sys.path.insert(0, str(Path(__file__).parent))
 from rotor import machine
@@ -216,6 +217,28 @@ def test_a_check_shows_both_groups_and_narrows(folder):
     assert refused.exit_code == 2 and "is the thrust axis alone" in refused.stderr
 
 
+def test_a_study_writes_the_best_of_both_groups_and_narrows(folder, monkeypatch):
+    """With stages that take no time."""
+
+    def stages(part, directory, progress):
+        law = pid_synthesis(amb.assemble(part, "rest"))
+        passed = part.group == "radial"
+        worse = Check("sensitivity", "S", 9.0, "-", 3.0, passed=passed)
+        held = Candidate("PID", law, (Checks("rest", True, (worse,)),))
+        return Study(part, (), amb.assemble(part, "rest"), (held,))
+
+    monkeypatch.setattr("ambrose.chain.study._study", stages)
+    whole = machine()
+    done = amb.study(whole, folder / "study")
+    assert done.axial.machine.group == "thrust" and not done.passed
+    both = read_controller(folder / "study" / "controller.json")
+    assert both.outputs == ("u_A_zeta", "u_A_eta", "u_B_zeta", "u_B_eta")
+    assert both.thrust.outputs == ("u_T_z",)
+    radial, thrust = (amb.study(whole, folder / axes, axes=axes) for axes in ("radial", "thrust"))
+    assert radial.passed and radial.axial is None and thrust.machine.group == "thrust"
+    assert not (folder / "radial" / "controller.json").exists()
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -378,4 +401,9 @@ def test_a_simulation_of_the_axis_writes_its_page(folder):
     line = "simulate five.toml#axial --controller pid.json --scenario thrust-step --linear"
     done = run(folder, f"{line} --point rated --report step.html")
     assert done.exit_code == 0, done.output
+    narrow = line.replace("#axial --controller pid.json", " --axes thrust")
+    own = run(folder, f"{narrow} --point rated -o own.h5")
+    assert own.exit_code == 0 and "Controller: pid of the machine file" in own.stdout
+    again = read_record(folder / "own.h5")
+    assert np.array_equal(again.values, read_record(folder / "record.h5").values)
     assert "Distance from the middle of the bearing" in (folder / "step.html").read_text()

@@ -29,7 +29,7 @@ from ambrose.law.pid import axes_mixings, channel_chains, first_settings, mixing
 from ambrose.machine.attachment import attached
 from ambrose.machine.criteria import demand
 from ambrose.machine.description import MagneticBearing, OperatingPoint
-from ambrose.machine.machine import AxialMachine, Machine, in_file
+from ambrose.machine.machine import AxialMachine, Machine
 from ambrose.machine.part import Seal
 from ambrose.machine.thrust import ThrustBearing
 from ambrose.machine.units import listed
@@ -247,7 +247,7 @@ def _doubts(machine: AxialMachine, margin: float | None) -> Iterator[str]:
                 f"N; {_SPARE:g} times the load and more is usual"
             )
     if margin is not None and margin < 1:
-        yield in_file(machine, below_stiffness(margin))
+        yield machine.in_file(below_stiffness(margin))
 
 
 def axial_rows(facts: dict[str, Any], quantity: Any) -> list[tuple[str, str]]:

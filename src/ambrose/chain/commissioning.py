@@ -31,7 +31,7 @@ from ambrose.law.design_problem import design_tolerances
 from ambrose.law.law import LawLike
 from ambrose.law.loop import DEFAULT, Timing, machine_timing
 from ambrose.machine.file.update import machine_text
-from ambrose.machine.machine import Machine, in_file
+from ambrose.machine.machine import Machine
 from ambrose.machine.ordinary_file import make_folder, write_text
 from ambrose.model.plant import Plant
 from ambrose.rig import virtual_rig
@@ -123,8 +123,8 @@ def _none(plant: Plant, lost: Sequence[tuple[Candidate, Stability]]) -> str:
         return "no controller of the study is fixed, so there is none to record the machine under"
     machine = plant.machine
     if machine_timing(machine) is None:
-        remedy = in_file(
-            machine, "state [controller] sample_time, for which controllers are then designed"
+        remedy = machine.in_file(
+            "state [controller] sample_time, for which controllers are then designed"
         )
     else:
         remedy = "design one that holds this loop, or state a shorter [controller] sample_time"
@@ -421,7 +421,9 @@ def operating_cycle(site: tuple[Plant, ...], known: tuple[Plant, ...], code: Cod
     deployment, program, _ = code
     rate = (machine_timing(known[0].machine) or DEFAULT).rate
     machine, delay = site[0].machine, deployment.delay
-    return simulate_scenario(machine, program, CYCLE, rate=rate, delay_samples=delay)
+    return simulate_scenario(
+        machine, program, CYCLE, axes=machine.group, rate=rate, delay_samples=delay
+    )
 
 
 STAGES = (

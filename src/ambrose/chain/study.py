@@ -24,7 +24,7 @@ from ambrose.core.processes import can_start_processes, processors, remembering
 from ambrose.judge.checks import Curve, check_columns
 from ambrose.judge.controller_file import write_controller
 from ambrose.judge.plants import Progress, campbell_map, full_plants, plant_gain
-from ambrose.machine.machine import THRUST, Machine, in_file, require_magnets
+from ambrose.machine.machine import THRUST, Machine, require_magnets
 from ambrose.machine.ordinary_file import claimed, make_folder, set_aside, write_json
 from ambrose.model.plant import Plant
 from ambrose.model.uncertainty import not_varied, reduce
@@ -277,7 +277,7 @@ def _candidates(plants: tuple[Plant, ...], directory: Path, progress: Progress) 
     candidates = tuple(item for name in names if isinstance(item := made[name], Candidate))
     if not candidates:
         machine = plants[0].machine
-        none = in_file(machine, "it has no [controller] and no [weights]; add one")
+        none = machine.in_file("it has no [controller] and no [weights]; add one")
         why = "; ".join(f"{name}: {text}" for name, text in failed) or none
         raise InvalidInput(f"no controller for machine {machine.name!r}: {why}")
     return Designs(candidates, failed, meanwhile)

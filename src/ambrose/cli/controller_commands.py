@@ -136,8 +136,8 @@ def synthesize(
         raise invalid("--machine-file", str(machine_file), "left out for the thrust axis", remedy)
     claim(controller_file=output, machine_file=machine_file)
     # a peak names the point it is of: the worst one, which verify finds, is another
+    thrust: Synthesis | None = None
     where, plant = "", None
-    thrust = None
     with progress_shown(as_json) as progress:
         if narrowed() is None and block_options.base is None:
             for along in [*description.groups.values()][1:]:
@@ -354,7 +354,6 @@ def trade_off(
     """What a requirement costs: the lowest sensitivity that a tuned controller reaches at each of
     its values.
     """
-    from ambrose.machine.ordinary_file import write_text
     from ambrose.synthesis.methods import Tuned
     from ambrose.synthesis.trade_off import read_value
     from ambrose.synthesis.trade_off import trade_off as traded
@@ -365,14 +364,33 @@ def trade_off(
     claim(page=output)
     with progress_shown(as_json) as progress:
         result = traded(description, over, wanted, method, progress=progress)
+    heading = over if result.unit == "-" else f"{over} [{result.unit}]"
+    columns = (heading, "sensitivity", "all else met", "tightest requirement")
+    found = tuple(
+        (f"{v:.4g}", f"{s:.3g}", "yes" if m else "no", b)
+        for v, s, m, b in zip(
+            result.values, result.sensitivity, result.met, result.binding, strict=True
+        )
+    )
+    verdict = (
+        f"All other requirements are met at {sum(result.met)} of {len(result.met)} values of "
+        f"{over}."
+    )
     failure = None
     if output is not None:
+        from ambrose.report.page import Figure, Page, Section, Table, Verdict, write
         from ambrose.report.plot import plot
 
-        text = plot(result).to_html(
-            include_plotlyjs=True, config={"responsive": True, "displayModeBar": False}
+        page = Page(
+            "What a requirement costs",
+            description,
+            (Section("Lowest sensitivity", "", (Figure(f"Against {over}", plot(result)),)),),
+            facts=(("Controller", "tuned anew for every value"),),
+            result=Verdict("Result", all(result.met), verdict),
+            opening=Section("", tables=(Table("", columns, found),)),
+            signatures=(),
         )
-        failure = kept(lambda path: write_text(path, text, "page"), output)
+        failure = kept(lambda path: write(page, path), output)
     if as_json:
         rows = zip(result.values, result.sensitivity, result.met, result.binding, strict=True)
         keys = ("value", "sensitivity", "met", "binding")
@@ -384,21 +402,8 @@ def trade_off(
             }
         )
     else:
-        heading = over if result.unit == "-" else f"{over} [{result.unit}]"
-        say_verdict(
-            f"All other requirements are met at {sum(result.met)} of {len(result.met)} values of "
-            f"{over}."
-        )
-        print_table(
-            f"lowest sensitivity against {over}",
-            (heading, "sensitivity", "all else met", "what binds"),
-            [
-                (f"{v:.4g}", f"{s:.3g}", "yes" if m else "no", b)
-                for v, s, m, b in zip(
-                    result.values, result.sensitivity, result.met, result.binding, strict=True
-                )
-            ],
-        )
+        say_verdict(verdict)
+        print_table(f"lowest sensitivity against {over}", columns, found)
     if failure is not None:
         raise failure
     sys.exit(0 if all(result.met) else 1)
@@ -542,6 +547,7 @@ def verify(
 
 def _say_what_decides(result: Verification, unproved: Sequence[str]) -> None:
     """The verdict, the table that decides, what fails in full, what was not checked, by kind."""
+    from ambrose.judge.result import OF_MACHINE
     from ambrose.report.tables import (
         deciding_table,
         deciding_verdict,
@@ -565,6 +571,9 @@ def _say_what_decides(result: Verification, unproved: Sequence[str]) -> None:
         if part.rows and note:
             say(note)
     say(f"The loop is {loop_in_words(result.timing)}.")
+    if OF_MACHINE in result.controller:
+        names = (part.partition(", SHA")[0] for part in result.controller.split("; "))
+        say(f"Controller: {'; '.join(names)}.")
     for checks in result.points:
         if checks.label.endswith(", measured"):
             say(" ".join((f"{checks.label[0].upper()}{checks.label[1:]}:", *checks.notes)))
@@ -672,10 +681,8 @@ def map_command(
                 )
             )
         title = f"{description.name}, {exploration.point.label or 'its design point'}"
-        say_verdict(
-            f"{'STABLE' if exploration.stable else 'UNSTABLE'} in the machine's own range: "
-            f"{report.verdicts[0].text}."
-        )
+        if report.result is not None:
+            say_verdict(report.result.text)
         print_table(title, ("what", "found"), [tuple(map(str, row)) for row in rows])
         for note in exploration.notes:
             say(f"note: {note}")

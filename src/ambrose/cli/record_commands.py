@@ -433,12 +433,11 @@ def seal(
 
     from ambrose.identification.seal.by_frequency import identify_by_frequency
     from ambrose.machine.file.update import machine_text
-    from ambrose.machine.machine import across_the_shaft
     from ambrose.machine.ordinary_file import write_text
     from ambrose.report.identification import frequency_tables
 
     description = load(machine)
-    across_the_shaft(description, "a seal is identified across it")
+    description.across_the_shaft("a seal is identified across it")
     claim(machine_file=output, report=report)
     with progress_shown(as_json) as progress:
         done = identify_by_frequency(

@@ -121,7 +121,7 @@ def simulate(
     run is interrupted.
     """
     from ambrose.api import simulate as run
-    from ambrose.judge.result import machine_pid
+    from ambrose.judge.result import OF_MACHINE, machine_pid
     from ambrose.law.loop import DEFAULT, timing_in_words, timing_of
     from ambrose.record.files import check_suffix, write_record
     from ambrose.report.record import REACHED, run_result
@@ -176,6 +176,9 @@ def simulate(
         if trace.passed and (not result.passed or result.text.endswith(REACHED)):
             say(f"{result.text[:1].upper()}{result.text[1:]}.")
         say(f"Controller: {timing_in_words(str(timing or 'continuous'))}")
+        for part, named in trace.laws:
+            if OF_MACHINE in named:
+                say(f"{part}: {OF_MACHINE}")
         if looped is not None:
             say(looped.text)
     if failure is not None:

@@ -49,7 +49,7 @@ from ambrose.law.loop import DEFAULT, Timing, check_side, match_axes, timing_of
 from ambrose.law.supervision import check_pair, supervision_limits
 from ambrose.law.synchronous import check_blocks, running_law, synchronous_loop
 from ambrose.machine.file.toml import bundled_machines, load_machine, machine_hash
-from ambrose.machine.machine import THRUST, AxialMachine, Machine
+from ambrose.machine.machine import THRUST, Machine
 from ambrose.machine.ordinary_file import check_place, claimed, write_files
 from ambrose.machine.part import Synchronous
 from ambrose.model.assemble import assemble
@@ -736,21 +736,8 @@ def machine_limits(machine: Machine) -> tuple[np.ndarray | None, np.ndarray | No
     """Per axis the largest plausible displacement [m] and the largest current [A]; None where a
     bearing does not say.
     """
-    if isinstance(machine, AxialMachine):
-        part = machine.thrust
-        most = None if part.max_current is None else np.array([part.max_current])
-        return np.array([max(part.gap)]), most
-    gaps, currents = [], []
-    for bearing in machine.bearings:
-        gap = (
-            bearing.gap
-            if bearing.gap is not None
-            else bearing.touchdown_gap and 2 * bearing.touchdown_gap
-        )
-        gaps += [gap, gap]
-        currents += [bearing.max_current] * 2
-    known = [None if None in values else np.array(values, float) for values in (gaps, currents)]
-    return known[0], known[1]
+    gaps, currents = (None if most is None else np.array(most) for most in machine.reach)
+    return gaps, currents
 
 
 def _limits(

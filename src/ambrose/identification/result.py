@@ -23,7 +23,7 @@ from ambrose.identification.validation.places import Standing, load_remarks
 from ambrose.identification.validation.repeatability import Repeats, SimulatedOutput
 from ambrose.identification.youla import ResidualIdentification
 from ambrose.law.law import LawLike
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY
 from ambrose.machine.units import one_line
 from ambrose.version import __version__
@@ -321,7 +321,7 @@ class LoopIdentification(Identification):
         settings = machine.controller
         if (
             settings is None
-            or isinstance(machine, AxialMachine)  # whose settings are part of another file
+            or machine.whole is not machine  # whose settings are part of another file
             or settings.sample_time is None
             or CONTROLLER_DELAY in self.result.paths
             or not self.outputs

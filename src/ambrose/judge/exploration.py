@@ -45,7 +45,7 @@ from ambrose.law.law import SPEED, Law, LawAt, LawLike, law_of
 from ambrose.law.loop import Timing, closed_loop, match_controller, running_law, timing_of
 from ambrose.machine.criteria import TWO_PI
 from ambrose.machine.description import OperatingPoint, Tolerance
-from ambrose.machine.machine import AxialMachine, Machine, across_the_shaft
+from ambrose.machine.machine import AxialMachine, Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant, top_speed
 from ambrose.model.static_load import Unbalance, residual_unbalance
@@ -464,7 +464,7 @@ def explore(
     if isinstance(machine, AxialMachine):
         parts = ALONG if tuple(parts) == PARTS and not reach else parts
         if set(parts) - set(ALONG) or reach:
-            across_the_shaft(machine, "nothing along it follows speed, pressure or unbalance")
+            machine.across_the_shaft("nothing along it follows speed, pressure or unbalance")
     law = law_of(controller)
     timing = timing_of(machine, law, asked.rate, asked.delay_samples)
     at = chosen_point(machine, point) or machine.operation.design

@@ -172,12 +172,11 @@ def _with_cores(plant: Plant, omega: np.ndarray, P: Matrices) -> Matrices:
     """P with what the rational cores of an axis along the shaft leave out: one more force,
     f + g_i i + g_q q.
     """
-    if not isinstance(plant.machine, AxialMachine) or not solid_cores(plant):
+    if not solid_cores(plant):
         return P
     # P: u, f -> y, q, i of the one axis
-    per_current, per_place = left_out(plant.machine, plant.point, omega, plant.offsets)[
-        :, :, None, None
-    ]
+    machine = plant.machine
+    per_current, per_place = left_out(machine, plant.point, omega, plant.offsets)[:, :, None, None]
     extra = per_current * P[:, 2:] + per_place * P[:, 1:2]
     return np.asarray(P + P[:, :, 1:] @ extra / (1 - extra[:, :, 1:]))
 

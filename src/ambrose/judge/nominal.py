@@ -78,7 +78,6 @@ _RECORD = 0.25  # [s] after the change
 def thrust_checks(closed: StateSpace, plant: Plant) -> tuple[list[Check], list[Curve]]:
     """The checks and curves of this file's table; closed: ``law.loop.closed_loop``."""
     machine = plant.machine
-    assert isinstance(machine, AxialMachine)
     part, at = machine.thrust, at_point(machine, plant.point)
     side = "right" if at.load < 0 else "left"
     largest = at.capacity[at.load < 0]
@@ -140,7 +139,7 @@ def _change(
 
 
 def _change_checks(
-    machine: AxialMachine,
+    machine: Machine,
     at: Loaded,
     ends: tuple[float, float],
     time: np.ndarray,

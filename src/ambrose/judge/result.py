@@ -39,7 +39,7 @@ from ambrose.law.law import FixedLaw, Law, LawLike, ScheduledLaw, Scheduling, la
 from ambrose.law.loop import Timing, machine_timing, match_controller
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.machine import Machine, in_file
+from ambrose.machine.machine import Machine
 from ambrose.machine.part import PidSettings, Synchronous
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
@@ -300,6 +300,9 @@ def continuous_equivalent(system: StateSpace) -> StateSpace:
     return StateSpace(
         A, np.sqrt(2) * B, np.sqrt(2) * C, system.D - C @ system.B, system.inputs, system.outputs
     )
+
+
+OF_MACHINE = "pid of the machine file"  # the method of a law that stands in for one not given
 
 
 class Status(StrEnum):
@@ -790,9 +793,9 @@ def machine_pid(machine: Machine) -> Synthesis:
     """
     settings = machine.reference
     if settings is None:
-        remedy = in_file(machine, "add a [controller] with its gain")
+        remedy = machine.in_file("add a [controller] with its gain")
         raise InvalidInput(f"{machine.name} has no PID of its own; give a controller, or {remedy}")
-    return Synthesis(pid_controller(settings, machine), "pid of the machine file", filters=settings)
+    return Synthesis(pid_controller(settings, machine), OF_MACHINE, filters=settings)
 
 
 @named_failure("the PID controller")
@@ -800,7 +803,7 @@ def continuous_pid(plant: Plant, settings: PidSettings | None = None) -> Synthes
     """``pid_synthesis`` without the loop as it runs. Raises InvalidInput."""
     settings = plant.machine.reference if settings is None else settings
     if settings is None:
-        remedy = in_file(plant.machine, "add a [controller] with its gain or pass PidSettings")
+        remedy = plant.machine.in_file("add a [controller] with its gain or pass PidSettings")
         raise InvalidInput(f"machine {plant.machine.name!r} has no reference controller; {remedy}")
     law = pid_controller(settings, plant.machine)
     certificate = certify(plant, law)

@@ -46,7 +46,7 @@ from ambrose.core.statespace import (
     transfer_function,
 )
 from ambrose.machine.description import DesignWeights, Tolerance
-from ambrose.machine.machine import Machine, in_file
+from ambrose.machine.machine import Machine
 from ambrose.model.plant import Plant
 from ambrose.model.uncertainty import uncertain as uncertain_plant
 
@@ -220,7 +220,7 @@ def machine_weights(machine: Machine | DesignWeights) -> Weights:
     if settings is None:
         if not isinstance(machine, Machine):
             raise InvalidInput("there are no weights; give DesignWeights")
-        remedy = in_file(machine, "add a [weights] table to its file")
+        remedy = machine.in_file("add a [weights] table to its file")
         raise InvalidInput(f"machine {machine.name!r} has no weights; {remedy}")
     return Weights(
         performance_weight(settings.peak, settings.bandwidth, settings.low_frequency_error),

@@ -33,7 +33,6 @@ from ambrose.machine.machine import (
     RADIAL,
     SUFFIX,
     THRUST,
-    AxialMachine,
     Machine,
     require_magnets,
 )
@@ -140,7 +139,7 @@ def check_side(inputs: Sequence[str], machine: Machine) -> None:
     """Refuses a controller of the axis along the shaft on the radial axes of its machine, and the
     other way round, by the names of its inputs. Raises InvalidInput.
     """
-    whole = machine.whole if isinstance(machine, AxialMachine) else machine
+    whole = machine.whole
     parts = () if whole is None else whole.effects
     thrust = next((part for part in parts if isinstance(part, ThrustBearing)), None)
     if whole is None or thrust is None:

@@ -16,7 +16,7 @@ import scipy.linalg as sla
 
 from ambrose.core.checks import InvalidInput, check_finite, invalid
 from ambrose.core.statespace import StateSpace
-from ambrose.machine.machine import Machine, in_file
+from ambrose.machine.machine import Machine
 from ambrose.machine.part import (
     CONTROLLER_COORDINATES,
     MODES,
@@ -278,7 +278,7 @@ def first_settings(machine: Machine) -> PidSettings:
     """
     k_i, k_s = magnet_coefficients(machine, machine.operation.design)
     if not (k_i > 0).all() or not (k_s > 0).all():
-        remedy = in_file(machine, "add a [controller] table")
+        remedy = machine.in_file("add a [controller] table")
         raise InvalidInput(
             f"machine {machine.name!r} has magnets without force or stiffness; {remedy}"
         )

@@ -85,6 +85,62 @@ class Machine(MachineDescription):
         """
         return self.only(THRUST)
 
+    @property
+    def whole(self) -> Machine | None:
+        """The machine that this one is a group of axes of."""
+        return self
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """What its operating points hold besides, of an axis along the shaft."""
+        return ()
+
+    @property
+    def thrust(self) -> ThrustBearing:
+        """Its thrust bearing. Raises InvalidInput where it has none."""
+        found = next((part for part in self.effects if isinstance(part, ThrustBearing)), None)
+        if found is None:
+            raise InvalidInput(f"{self.name} has no [[thrust_bearing]]; add one")
+        return found
+
+    def condition(self, point: OperatingPoint) -> Condition:
+        """Thrust and place at an operating point: by its label, else of the first one at its speed
+        and pressure (a record keeps no more); none where there is no such point.
+        """
+        points = [*zip(self.operation.points, self.conditions, strict=False)]
+        for own, item in points:
+            if point.label and own.label == point.label:
+                return item
+        for own, item in points:
+            if (own.speed, own.seal_pressure) == (point.speed, point.seal_pressure):
+                return item
+        return Condition(point.label, 0.0, 0.0)
+
+    @property
+    def reach(self) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
+        """Per axis the largest plausible displacement [m] and the largest current [A]; None where a
+        bearing does not say.
+        """
+        gaps = [
+            (b.touchdown_gap and 2 * b.touchdown_gap) if b.gap is None else b.gap
+            for b in self.bearings
+        ]
+        first, second = (
+            tuple(float(value) for value in values for _ in range(2) if value is not None)
+            for values in (gaps, [b.max_current for b in self.bearings])
+        )
+        count = len(self.axes)
+        return first if len(first) == count else None, second if len(second) == count else None
+
+    def in_file(self, words: str) -> str:
+        """Words that name tables of the machine file, as they stand there for these axes."""
+        return words
+
+    def across_the_shaft(self, what: str, remedy: str = "") -> None:
+        """Refuses the thrust axis for a verb of the radial axes: why it is theirs alone, as
+        a clause, and what to do instead (default: to narrow to them). Raises InvalidInput.
+        """
+
     def facts(self) -> Mapping[str, Any]:
         counts = {
             "discs": len(self.discs),
@@ -245,7 +301,7 @@ def require_magnets(machine: MachineDescription) -> None:
 
 
 # where the name of a table begins that the axis has of its own, and what stands before it
-_TABLES = re.compile(r"(?<=\[)(?=(?:controller|weights|requirements|tolerance)\b)")
+_TABLES = re.compile(r"(\[\[?)(?=(?:controller|weights|requirements|tolerance)\b)")
 _OWN = "thrust_bearing."
 SUFFIX = "#axial"  # of the machine's name, as of its file's address
 AXIS = "_z"
@@ -277,14 +333,6 @@ class AxialMachine(Machine):
     def __post_init__(self) -> None:
         if lines := tuple(axial_problems(self, self.thrust)):
             raise InvalidMachine(f'machine "{self.name}"', lines)
-
-    @property
-    def thrust(self) -> ThrustBearing:
-        """Its thrust bearing."""
-        found = next((part for part in self.effects if isinstance(part, ThrustBearing)), None)
-        if found is None:
-            raise InvalidInput(f"{self.name} has lost its thrust bearing; take machine.axial anew")
-        return found
 
     @property
     def group(self) -> str:
@@ -325,18 +373,20 @@ class AxialMachine(Machine):
             ),
         )
 
-    def condition(self, point: OperatingPoint) -> Condition:
-        """Thrust and place at an operating point: by its label, else of the first one at its speed
-        and pressure (a record keeps no more); none where there is no such point.
-        """
-        points = [*zip(self.operation.points, self.conditions, strict=True)]
-        for own, item in points:
-            if point.label and own.label == point.label:
-                return item
-        for own, item in points:
-            if (own.speed, own.seal_pressure) == (point.speed, point.seal_pressure):
-                return item
-        return Condition(point.label, 0.0, 0.0)
+    @property
+    def reach(self) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
+        """Of its one axis."""
+        most = self.thrust.max_current
+        return (max(self.thrust.gap),), None if most is None else (most,)
+
+    def in_file(self, words: str) -> str:
+        """ "[weights]" is its "[thrust_bearing.weights]"."""
+        return _TABLES.sub(rf"\1{_OWN}", words)
+
+    def across_the_shaft(self, what: str, remedy: str = "") -> None:
+        """It is that axis."""
+        remedy = remedy or f'take the machine without "{SUFFIX}"'
+        raise InvalidInput(f"{self.name} is the axis along the shaft, but {what}; {remedy}")
 
     def facts(self) -> Any:
         """The axis in a line."""
@@ -346,28 +396,6 @@ class AxialMachine(Machine):
             "points": len(self.operation.points),
             "tolerances": len(self.tolerances),
         }
-
-
-def in_file(machine: MachineDescription, words: str) -> str:
-    """Words that name tables of the machine file, with those of the axis where it is the machine:
-    "[weights]" is its "[thrust_bearing.weights]".
-    """
-    if not isinstance(machine, AxialMachine):
-        return words
-    return re.sub(
-        r"(\[\[?)(?=(?:controller|weights|requirements|tolerance)\b)", rf"\1{_OWN}", words
-    )
-
-
-def across_the_shaft(machine: Machine, what: str, remedy: str = "") -> None:
-    """Refuses the axis along the shaft for a verb of the radial axes.
-
-    what: why it is theirs alone, as a clause; remedy: what to do instead (default: to take the
-    machine without #axial). Raises InvalidInput.
-    """
-    if isinstance(machine, AxialMachine):
-        remedy = remedy or f'take the machine without "{SUFFIX}"'
-        raise InvalidInput(f"{machine.name} is the axis along the shaft, but {what}; {remedy}")
 
 
 def axial_machine(machine: Machine) -> AxialMachine:

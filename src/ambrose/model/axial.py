@@ -15,7 +15,7 @@ from ambrose.core.checks import InvalidInput, check_positive
 from ambrose.core.frequency import bracketed_root
 from ambrose.core.statespace import StateSpace, static_gain
 from ambrose.machine.description import OperatingPoint, Tolerance
-from ambrose.machine.machine import AxialMachine, Condition
+from ambrose.machine.machine import Condition, Machine
 from ambrose.machine.thrust import Pair, ThrustBearing, ThrustStator
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
 from ambrose.model.magnetics import VACUUM_PERMEABILITY
@@ -362,7 +362,7 @@ def loaded(part: ThrustBearing, load: float, place: float) -> Loaded:
     return Loaded(parts[0], parts[1], current, largest, load, place)
 
 
-def at_point(machine: AxialMachine, point: OperatingPoint) -> Loaded:
+def at_point(machine: Machine, point: OperatingPoint) -> Loaded:
     """The magnets at an operating point of the axis. Raises InvalidInput as ``loaded`` does, with
     machine and point.
     """
@@ -393,7 +393,7 @@ def closed_lags(model: Lags, ratio: float) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def left_out(
-    machine: AxialMachine,
+    machine: Machine,
     point: OperatingPoint,
     omega: np.ndarray,
     offsets: Sequence[tuple[Tolerance, float]] = (),
@@ -513,12 +513,12 @@ _SCALE = 300.0  # [rad/s] of the velocity's state, as of the rigid modes of the 
 _SAME = 1e-12  # relative: cores that lag alike are one
 
 
-def rotor_mass(machine: AxialMachine) -> float:
+def rotor_mass(machine: Machine) -> float:
     """The mass that moves along the axis [kg]: the whole rotor's."""
     return float(mass_properties(finite_element_rotor(machine)).mass)
 
 
-def rotor_statespace(machine: AxialMachine, point: OperatingPoint) -> StateSpace:
+def rotor_statespace(machine: Machine, point: OperatingPoint) -> StateSpace:
     """Inputs f_<axis>, left_<axis>, right_<axis> [N]; outputs q_<axis>, s_<axis> [m] and
     qdot_<axis> [m/s], and core_left_<axis> [N], what the eddy currents take of the left magnet's
     force, or of both where these are alike, else core_right_<axis> as well; the negative stiffness
@@ -592,13 +592,13 @@ def _alike(one: tuple[np.ndarray, ...], other: tuple[np.ndarray, ...]) -> bool:
     )
 
 
-def rotor_inputs(machine: AxialMachine) -> list[str]:
+def rotor_inputs(machine: Machine) -> list[str]:
     """The rotor's inputs within the plant."""
     (axis,) = machine.axes
     return [f"F_{axis}", *(f"{side}_{axis}" for side in SIDES)]
 
 
-def force_sums(machine: AxialMachine) -> dict[str, list[str]]:
+def force_sums(machine: Machine) -> dict[str, list[str]]:
     """The external force on the rotor, and each magnet's current force before its core."""
     (axis,) = machine.axes
     return {
@@ -607,7 +607,7 @@ def force_sums(machine: AxialMachine) -> dict[str, list[str]]:
     }
 
 
-def magnets(machine: AxialMachine, point: OperatingPoint) -> StateSpace:
+def magnets(machine: Machine, point: OperatingPoint) -> StateSpace:
     """i_<axis> [A] -> m_left_<axis>, m_right_<axis> [N]: k_i i of each side, before its core."""
     (axis,), at = machine.axes, at_point(machine, point)
     gains = [[at.left.force_per_current], [at.right.force_per_current]]

@@ -24,7 +24,7 @@ from ambrose.core.statespace import StateSpace, append, connect, rename, select,
 from ambrose.core.statespace import balance_matrix as balance
 from ambrose.machine.attachment import attached
 from ambrose.machine.description import Amplifier, Tolerance
-from ambrose.machine.machine import AxialMachine, in_file
+from ambrose.machine.machine import AxialMachine
 from ambrose.machine.parameters import BENDING, Parameter, find_uncertain
 from ambrose.machine.part import Seal
 from ambrose.model.assemble import (
@@ -82,7 +82,7 @@ def uncertain(plant: Plant, tolerances: Sequence[Tolerance] | None = None) -> Ge
     machine = plant.machine
     tolerances = machine.tolerances if tolerances is None else tuple(tolerances)
     if not tolerances:
-        remedy = in_file(machine, "add a [[tolerance]] with parameter and relative")
+        remedy = machine.in_file("add a [[tolerance]] with parameter and relative")
         raise InvalidInput(f"machine {machine.name!r} has no tolerance; {remedy}")
     rows, sums = [], force_sums(machine)
     moved: list[RealBlock] = []
@@ -372,11 +372,11 @@ def _bearing_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
 
 def _thrust_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
     """k_i i or k_s x of both magnets, each side's share of it before its core."""
-    assert isinstance(plant.machine, AxialMachine)
-    (axis,), at = plant.axes, at_point(plant.machine, plant.point)
+    machine = plant.machine
+    (axis,), at = plant.axes, at_point(machine, plant.point)
     if parameter.quantity == "core_scale":
         # (R_0 + (1 + d) c sqrt(s)) phi = v: as v less d times what the eddy currents take
-        scale = plant.machine.thrust.core_scale
+        scale = machine.thrust.core_scale
         taken = [name for name in plant.rotor.outputs if name.startswith("core_")]
         return [Channel(name.removeprefix("core_"), scale, ((name, -1 / scale),)) for name in taken]
     by_current = parameter.quantity == "force_per_current"

@@ -682,7 +682,7 @@ def _result(verdicts: tuple[Verdict, ...]) -> Verdict | None:
     words = "The run fails." if failed else "The run stays within all limits of the machine."
     if decisive:
         one = decisive[0]
-        what = one.label if failed else f"Nearest to its limit: {one.label.lower()}"
+        what = one.label if failed else f"Closest to its limit: {one.label.lower()}"
         words += f" {what}, {one.text.partition('; ')[0]}."
     if len(failed) > 1 and failed[0].label != _OUTCOME:  # what failed it exceeds the limits, too
         words += f" Failed too: {', '.join(verdict.label.lower() for verdict in failed[1:])}."

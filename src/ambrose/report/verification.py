@@ -12,7 +12,7 @@ import numpy as np
 
 from ambrose.judge.checks import Checks, Curve, Verification, moving_proofs
 from ambrose.judge.exploration import BoxUnbalance, Exploration, PoleMap, PulseFamily
-from ambrose.judge.plants import Stability, describe
+from ambrose.judge.plants import describe
 from ambrose.law.loop import DEFAULT, STATE_RATE, timing_in_words
 from ambrose.machine.machine import Machine
 from ambrose.options import Verifying
@@ -475,9 +475,6 @@ def exploration_page(exploration: Exploration, *, date: str = "") -> Page:
         ("Loop", timing_in_words(exploration.timing)),
         ("How", theme.prose(tables.capitalised(exploration.notes, ". ", ""))),
     )
-    verdicts.insert(
-        0, Verdict("Operating points", _all(exploration.standing), describe(exploration.standing))
-    )
     if exploration.assumed:
         worst = max(exploration.assumed, key=lambda item: item.abscissa)
         late = f"{DEFAULT.rate:g} Hz and one sample late, as virtual rig and export assume"
@@ -486,12 +483,9 @@ def exploration_page(exploration: Exploration, *, date: str = "") -> Page:
             f"{worst.abscissa:+.4g} 1/s); no sample rate is stated, and the continuous loop was "
             f"checked; {STATE_RATE}"
         )
-        verdicts.insert(1, Verdict("As it would run", False, lost))
-    words = (
-        "stable wherever it was examined"
-        if exploration.stable
-        else "not stable everywhere that was examined"
-    )
+        verdicts.insert(0, Verdict("As it would run", False, lost))
+    word = "STABLE" if exploration.stable else "UNSTABLE"
+    words = f"{word} in the machine's own range: {describe(exploration.standing)}."
     result = Verdict("Result", exploration.stable, words)
     return Page(
         "The loop over its range",
@@ -506,10 +500,6 @@ def exploration_page(exploration: Exploration, *, date: str = "") -> Page:
 
 def _members(family: PulseFamily) -> str:
     return f"{int(family.stable.sum())} of {len(family.stable)} members are stable"
-
-
-def _all(stabilities: tuple[Stability, ...]) -> bool:
-    return bool(stabilities) and all(item.stable for item in stabilities)
 
 
 def _words(item: PoleMap) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid, same_clock
 from ambrose.core.statespace import StateSpace, append
-from ambrose.law.law import AllAxesProgram, LawLike, law_of
+from ambrose.law.law import AllAxesProgram, Law, LawLike, law_of
 from ambrose.law.loop import DEFAULT, Timing, timing_of
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
@@ -50,13 +50,10 @@ class Parts(NamedTuple):
     program: AllAxesProgram | None
 
 
-def parts_of(controller: LawLike, axial: LawLike | None) -> Parts | None:
-    """What controls all axes; None where that is a controller of the radial axes alone.
-
-    Raises InvalidInput for two controllers of the axis along the shaft, and for what is scheduled,
-    or a program of the radial axes alone, beside one.
+def parts_of(law: Law, axial: LawLike | None) -> Parts | None:
+    """What controls all axes; None where that is a controller of the radial axes alone. Raises
+    InvalidInput for two controllers of the thrust axis.
     """
-    law = law_of(controller)
     program = law.program
     if isinstance(program, AllAxesProgram):
         if axial is not None:
@@ -64,20 +61,7 @@ def parts_of(controller: LawLike, axial: LawLike | None) -> Parts | None:
                 "this program has the axis along the shaft, too; leave the axial controller out"
             )
         return Parts(*program.parts, program)
-    if axial is None:
-        return None
-    beside = law_of(axial)
-    if program is not None or beside.program is not None:
-        raise InvalidInput(
-            "a program of the radial axes alone does not run with an axial controller; compile "
-            "both together (code.c.compiled.CompiledAxes), or give their laws"
-        )
-    if law.scheduled_over is not None or beside.scheduled_over is not None:
-        raise InvalidInput(
-            "a scheduled controller runs without an axial one on the rig; take one fixed law for "
-            "the radial axes, or run the parts one by one"
-        )
-    return Parts(law, beside, None)
+    return None if axial is None else Parts(law, axial, None)
 
 
 def run(
@@ -101,15 +85,6 @@ def run(
     it (f_thrust_z). Raises InvalidInput, and NumericalFailure where there is no levitated state to
     start from.
     """
-    if len(machine.groups) < 2:
-        raise InvalidInput(
-            f"{machine.name} has no thrust bearing; leave the axial controller out, and use a "
-            "machine file without #axial"
-        )
-    if scenario.switch_at is not None:
-        raise InvalidInput(
-            "all axes run with one controller; leave switch_at out, or compare two runs"
-        )
     beside: Any = machine.axial
     across, along = scenario.parted(machine)
     timing = _timing(machine, parts, scenario.sample_time, computing_delay)

@@ -24,7 +24,7 @@ from ambrose.judge.plants import judge_stability
 from ambrose.law.law import LawLike, law_of
 from ambrose.law.loop import DEFAULT, Timing, machine_timing
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.machine import AxialMachine
+from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.axial import at_point, core_lags, force, rotor_mass, sides
 from ambrose.model.effects import amplifier, sensor
@@ -117,7 +117,7 @@ class Recorded(NamedTuple):
 class AxialRig:
     """The axis ready to run, with what a plan and a record ask of a rig."""
 
-    machine: AxialMachine
+    machine: Machine
     point: OperatingPoint
     constants: Constants
     mass: float
@@ -132,7 +132,7 @@ class AxialRig:
 
 
 def run(
-    machine: AxialMachine,
+    machine: Machine,
     controller: LawLike,
     scenario: Scenario,
     *,
@@ -219,7 +219,7 @@ def run(
     )
 
 
-def check_scenario(machine: AxialMachine, scenario: Scenario, dt: float) -> None:
+def check_scenario(machine: Machine, scenario: Scenario, dt: float) -> None:
     """Raises InvalidInput for what a run of a scenario on the axis would refuse."""
     rig: Any = build(machine, machine.operation.nominal, dt)
     task = plan(rig, scenario, dt, 0)
@@ -227,7 +227,7 @@ def check_scenario(machine: AxialMachine, scenario: Scenario, dt: float) -> None
 
 
 def build(
-    machine: AxialMachine, point: OperatingPoint, sample: float, longest: float | None = None
+    machine: Machine, point: OperatingPoint, sample: float, longest: float | None = None
 ) -> AxialRig:
     """The axis at an operating point for a control sample time [s]."""
     part, at = machine.thrust, at_point(machine, point)
@@ -343,7 +343,7 @@ def begin(
     return z, np.repeat(np.array(phi)[:, None], n, axis=1), state, np.array([current])
 
 
-def _second(machine: AxialMachine, current: float) -> float:
+def _second(machine: Machine, current: float) -> float:
     """The second amplifier state at rest: of "twice-first" and "current-loop" the current's."""
     return current if machine.amplifier.order in {"twice-first", "current-loop"} else 0.0
 
@@ -393,7 +393,7 @@ def recorded(task: Plan, drive: Driven) -> Recorded:
 
 
 def rightmost_pole(
-    machine: AxialMachine, point: OperatingPoint, law: LawLike, timing: Timing
+    machine: Machine, point: OperatingPoint, law: LawLike, timing: Timing
 ) -> complex | None:
     """The rightmost pole [rad/s] of the linear loop; None where it has none to tell."""
     found = judge_stability(assemble(machine, point), law_of(law), timing)

@@ -896,9 +896,7 @@ def _least(name: str) -> Callable[[Machine], float | None]:
 
 def _thrusts(machine: Machine) -> list[float]:
     """The process thrust [N] at every operating point of the axis along the shaft."""
-    return (
-        [item.load for item in machine.conditions] if isinstance(machine, AxialMachine) else [0.0]
-    )
+    return [item.load for item in machine.conditions] or [0.0]
 
 
 _QUANTITIES: dict[str, tuple[str, Callable[[Machine], float | None], str]] = {

@@ -110,8 +110,10 @@ def simulate_scenario(
     if plant is None:
         (described, law), *others = laws_of(described, law, along, asked.axes).values()
         along = others[0][1] if others else None
-        if asked.axial is None and asked.axes is None and len(described.groups) > 1:
+        if asked.axes is None and len(described.groups) > 1:
             alone = _why_alone(described, law, along, events, asked)
+    if alone and (asked.axial is not None or isinstance(law.program, AllAxesProgram)):
+        raise InvalidInput(f"all axes do not run together: {alone}; leave it or the axial law out")
     parts = all_axes.parts_of(law, None if alone else along)
     if parts is None:
         trace = _one_group(described, plant, law, events, point, asked, progress, rig)
@@ -130,16 +132,19 @@ def _why_alone(
     """Why the radial axes run without the thrust axis, whose law is ``along``; "" where all axes
     run together.
     """
-    if isinstance(law.program, AllAxesProgram):
-        return ""
+    laws, whole = [law, *([] if along is None else [law_of(along)])], law.program
+    second = asked.second or asked.fallback
     reasons = {
-        "no controller of the thrust axis is known": along is None,
         "the linear model is of one group of axes": asked.linear,
-        "a second controller is theirs": asked.second is not None or events.switch_at is not None,
-        "a scheduled controller runs on them": law.scheduled_over is not None,
-        "synchronous blocks run on them": bool(blocks_of(machine, law)),
-        "a program runs on them": law.program is not None,
+        "a second controller is of one": second is not None or events.switch_at is not None,
     }
+    if not isinstance(whole, AllAxesProgram):
+        reasons |= {
+            "no controller of the thrust axis is known": along is None,
+            "a scheduled controller is of one group": any(one.scheduled_over for one in laws),
+            "synchronous blocks are of one group": bool(blocks_of(machine, law)),
+            "a program is of one group": any(one.program is not None for one in laws),
+        }
     return next((words for words, holds in reasons.items() if holds), "")
 
 
@@ -188,8 +193,8 @@ def _one_group(
         beside = beside_law(described, law, blocks, events, begin, timing or DEFAULT)
         trace = virtual_rig.run(described, beside, events, point=start, progress=progress, **rig)
         return replace(trace, text=f"{trace.text}; {beside.words()}")
-    if isinstance(described, AxialMachine) and fallback is not None:
-        raise invalid("fallback", "given", "left out", "no law along the shaft follows a pressure")
+    if fallback is not None:
+        described.across_the_shaft("no law along it follows a pressure", "leave the fallback out")
     if fallback is None:
         trace = virtual_rig.run(described, law, events, point=start, progress=progress, **rig)
         return _warned(trace, described, events, start, asked.bending_modes, across=across)
@@ -219,15 +224,7 @@ def _all_axes(
     progress: Progress,
     rig: dict[str, Any],
 ) -> Trace:
-    """A scenario on the rig of all axes. Raises InvalidInput for what else was given."""
-    for name in ("linear", "fallback", "second"):
-        if getattr(asked, name):
-            raise invalid(
-                f"{name} with an axial controller",
-                "given",
-                "left out: all axes run on the nonlinear rig with one controller each",
-                "leave it out, or run the parts one by one",
-            )
+    """A scenario on the rig of all axes."""
     where = chosen_point(machine, point)
     timing = timing_of(machine, parts.radial, asked.rate, asked.delay_samples)
     if timing is not None:

@@ -35,7 +35,7 @@ from ambrose.law.law import law_of
 from ambrose.law.loop import DEFAULT, Timing, check_rate, closed_loop, timing_of
 from ambrose.machine.criteria import SENSITIVITY, demand
 from ambrose.machine.file.toml import machine_hash
-from ambrose.machine.machine import AxialMachine, Machine, in_file, require_magnets
+from ambrose.machine.machine import AxialMachine, Machine, require_magnets
 from ambrose.model.assemble import assemble, bending_modes_of, driven_modes, judged_bending
 from ambrose.model.effects.rotor import free_modes
 from ambrose.model.plant import Plant
@@ -253,7 +253,7 @@ def why_unstable(
     runs = runs if timing is None else timing.in_loop(runs)
     margin = stiffness_margin(plant.machine) if method == "pid" else None
     if margin is not None and margin < 1:
-        return in_file(plant.machine, below_stiffness(margin))
+        return plant.machine.in_file(below_stiffness(margin))
     available = bending_modes_of(plant.rotor_model)
     modes = free_modes(plant.rotor_model, min(_TRIED, available)).frequencies[4::2] / _TWO_PI
     for count in range(min(_TRIED, available) + 1):
@@ -272,7 +272,7 @@ def why_unstable(
                 if own is not None and own.channels
                 else "a [[controller.notch]]"
             )
-            remedy = in_file(plant.machine, f"the [controller]; add {notch} there")
+            remedy = plant.machine.in_file(f"the [controller]; add {notch} there")
             return f"{what} is driven unstable by {remedy}, or use method tuned"
         if kept > bending_modes:
             return (

@@ -610,9 +610,8 @@ def with_capacity(result: Synthesis, machine: Machine, timing: Timing | None) ->
     ratios, as ``size`` counts it.
     """
     from ambrose.judge.unbalance import capacity_margin
-    from ambrose.machine.machine import AxialMachine
 
-    if isinstance(machine, AxialMachine) or not result.certificate.stable:
+    if not machine.bearings or not result.certificate.stable:
         return result
     margin, words = capacity_margin(machine, result.controller, timing)
     if not words:

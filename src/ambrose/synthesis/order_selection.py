@@ -41,7 +41,6 @@ from ambrose.law.design_problem import (
 )
 from ambrose.law.loop import Timing
 from ambrose.machine.description import Tolerance
-from ambrose.machine.machine import in_file
 from ambrose.model.assemble import bending_modes_of
 from ambrose.model.effects.rotor import free_modes
 from ambrose.model.plant import Plant
@@ -352,7 +351,7 @@ def sampled_sensitivity(plant: Plant, timing: Timing) -> Measure:
     """
     names = [tolerance.parameter for tolerance in design_tolerances(plant.machine)]
     if not names:
-        remedy = in_file(plant.machine, "add a [[tolerance]]")
+        remedy = plant.machine.in_file("add a [[tolerance]]")
         raise invalid("the machine's tolerances", "none", "at least one", remedy)
     points = _points(len(names))
     plants = [perturbed(plant, dict(zip(names, point.tolist(), strict=True))) for point in points]

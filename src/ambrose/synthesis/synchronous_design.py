@@ -57,7 +57,7 @@ from ambrose.law.synchronous import (
     synchronous_loop,
 )
 from ambrose.machine.criteria import TWO_PI
-from ambrose.machine.machine import Machine, across_the_shaft
+from ambrose.machine.machine import Machine
 from ambrose.machine.part import SYNCHRONOUS_UPDATES, Synchronous
 from ambrose.model.plant import top_speed
 from ambrose.options import Rejecting
@@ -329,7 +329,7 @@ def band_of(machine: Machine, band: tuple[float, float] | None) -> tuple[float, 
     """The band of a block [rad/s]: as given, else from a tenth of the top speed to it. Raises
     InvalidInput for one that the machine never turns in.
     """
-    across_the_shaft(machine, "a synchronous block is for what turns with the rotor")
+    machine.across_the_shaft("a synchronous block is for what turns with the rotor")
     top = top_speed(machine)
     if not top:
         raise InvalidInput("the machine does not turn; give its [operation] a speed_range")

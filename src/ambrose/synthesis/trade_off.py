@@ -19,7 +19,7 @@ from ambrose.core.statespace import StateSpace
 from ambrose.judge.plants import envelope_of
 from ambrose.judge.result import Synthesis
 from ambrose.law.pid import first_settings, pid_controller
-from ambrose.machine.machine import Machine, across_the_shaft
+from ambrose.machine.machine import Machine
 from ambrose.machine.units import DIMENSIONS, read_quantity, suggestion
 from ambrose.model.assemble import assemble
 from ambrose.synthesis.fixed_order.channels import aims_of
@@ -100,7 +100,7 @@ def trade_off(
     values that are done. Raises InvalidInput.
     """
     if over == "unbalance_orbit":
-        across_the_shaft(machine, "unbalance turns across it")
+        machine.across_the_shaft("unbalance turns across it")
     method = (method or Tuned()).without_bank().on(machine)
     wanted = _checked(over, values)
     start = pid_controller(machine.reference or first_settings(machine), machine)
@@ -207,7 +207,7 @@ def lowest(
     best: tuple[float, bool, str, Synthesis | None] = (
         float("inf"),
         False,
-        "nothing holds every point",
+        "no stable controller for all points",
         None,
     )
     least, most = _RANGES[lever]

@@ -72,7 +72,7 @@ def test_the_loop_with_the_pressure_pulled_out_is_the_loop_at_each_pressure(
         )
 
 
-@pytest.mark.parametrize("timing", [None, TIMING])
+@pytest.mark.parametrize("timing", [pytest.param(None, marks=pytest.mark.study), TIMING])
 def test_the_proof_is_just_above_rest_for_a_slow_change_and_above_that_for_any(
     rig, span, timing
 ) -> None:

@@ -284,7 +284,7 @@ def test_lines_without_excitation_neither_pass_nor_fail():
     plain = accepted.to_dict()["points"][0]
     assert plain["told"] == told.T.tolist() and len(plain["sigma_told"]) == len(loop.omega)
     page = render(acceptance_page(accepted))
-    assert "excite there" in page and "of the band told" in page
+    assert "excite there" in page and "of the band measured" in page
 
 
 def test_a_band_left_dark_fails_as_a_whole():

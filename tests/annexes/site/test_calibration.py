@@ -222,14 +222,14 @@ def test_a_circle_on_the_rig_is_free_of_the_compliance_of_the_contact():
     for bearing in true.bearings:
         for way, axis in enumerate(("zeta", "eta")):
             name, phase = f"e_{bearing.name}_{axis}", np.pi / 2 - bearing.angle - way * np.pi / 2
-            sines += [Sine(name, 3.6, 4 * np.pi, phase), Sine(name, -1.2, 4 * np.pi, phase, 1.0)]
+            sines += [Sine(name, 3.6, 8 * np.pi, phase), Sine(name, -1.2, 8 * np.pi, phase, 0.5)]
     from ambrose.core.statespace import static_gain
 
     law = static_gain(
         np.zeros((4, 4)), [f"err_{x}" for x in true.axes], [f"u_{x}" for x in true.axes], dt=1e-4
     )
     scenario = Scenario(
-        "circle", 1.5, sines=tuple(sines), initial="resting", sample_time=1e-4, speed=0.0
+        "circle", 0.9, sines=tuple(sines), initial="resting", sample_time=1e-4, speed=0.0
     )
     record = amb.simulate(true, law, scenario, bending_modes=0).record
     with_currents = calibrate(machine(), circle=record, settle=0.25)

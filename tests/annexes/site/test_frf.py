@@ -35,7 +35,10 @@ def call(*arguments):
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
-@pytest.fixture(scope="module", params=["seal-rig", "three-bearing-train"])
+@pytest.fixture(
+    scope="module",
+    params=["seal-rig", pytest.param("three-bearing-train", marks=pytest.mark.study)],
+)
 def place(request, tmp_path_factory):
     """A machine, a folder with its PID and a sweep of the nonlinear rig, without pressure."""
     folder, name = tmp_path_factory.mktemp("frf"), coarse_file(request.param)
@@ -63,6 +66,7 @@ def place(request, tmp_path_factory):
     return name, folder
 
 
+@pytest.mark.parametrize("place", ["seal-rig", "three-bearing-train"], indirect=True)
 def test_a_clean_sweep_is_measured_without_a_doubt(place):
     name, folder = place
     done = call(

@@ -77,8 +77,16 @@ def test_agrees_with_the_block_in_python(rig, version, tmp_path):
 
 
 @compiler
-@pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize("delay", [0, 2, 3])
+@pytest.mark.parametrize(
+    ("version", "delay"),
+    [
+        *zip((*VERSIONS, VERSIONS[0]), (0, 2, 3), strict=True),
+        *(
+            pytest.param(*other, marks=pytest.mark.study)
+            for other in zip((*VERSIONS[::-1], VERSIONS[1]), (0, 2, 3), strict=True)
+        ),
+    ],
+)
 def test_the_computing_delay_is_inside(version, delay, tmp_path):
     """u[k] leaves at the communication point k + delay; without delay already before the step, from
     the errors just set.
@@ -296,8 +304,16 @@ int main(void)
 
 
 @compiler
-@pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize("delay", [0, 1, 3])
+@pytest.mark.parametrize(
+    ("version", "delay"),
+    [
+        *zip((*VERSIONS, VERSIONS[0]), (0, 1, 3), strict=True),
+        *(
+            pytest.param(*other, marks=pytest.mark.study)
+            for other in zip((*VERSIONS[::-1], VERSIONS[1]), (0, 1, 3), strict=True)
+        ),
+    ],
+)
 def test_wrappers_under_the_sanitizers(version, delay, tmp_path):
     """A thousand steps, refusals and saved states, without a leak or an access beyond an array."""
     block = rig_block(delay)

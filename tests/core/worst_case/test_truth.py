@@ -15,7 +15,9 @@ from ambrose.core.worst_case import proved_gain, worst_gain
 from ambrose.core.worst_case_loop import box_loop, box_margin
 
 
-@pytest.mark.parametrize("seed", [47, *(seed for seed in (27, 37))])
+@pytest.mark.parametrize(
+    "seed", [47, *(pytest.param(seed, marks=pytest.mark.study) for seed in (27, 37))]
+)
 def test_between_search_and_bound_lies_the_truth(seed, monkeypatch):
     """27: crossings between the nominal poles' grid points; 37 and 47: poles that leave through
     zero.

@@ -573,7 +573,7 @@ def test_a_knock_during_the_record_is_found_in_the_residual():
     )
 
 
-@pytest.mark.parametrize("given", [0, 2])
+@pytest.mark.parametrize("given", [0, pytest.param(2, marks=pytest.mark.study)])
 def test_a_wrong_delay_without_controller_outputs_is_found_after_the_fit(given):
     """The true one is a sample; it is found as an unknown, with its deviation, and the right one is
     not complained about.

@@ -88,7 +88,9 @@ def inside(found, want):
     return np.mean(np.abs(found.values - want) <= found.radius())
 
 
-@pytest.mark.parametrize("name", ["seal-rig", "three-bearing-train"])
+@pytest.mark.parametrize(
+    "name", ["seal-rig", pytest.param("three-bearing-train", marks=pytest.mark.study)]
+)
 def test_a_chirp_on_one_axis_tells_its_column(name):
     axis = machine(name).axes[0]
     loop = measure(

@@ -106,6 +106,7 @@ def found(form="table"):
     return identify_seal(machine(), records(), controller(), form)
 
 
+@pytest.mark.usefixtures("values_alone")
 def test_bearings_come_from_the_records_without_pressure_and_the_seal_from_each():
     result = found().result
     assert result.point.seal_pressure == 0 and not any(
@@ -124,6 +125,7 @@ def test_bearings_come_from_the_records_without_pressure_and_the_seal_from_each(
     )
 
 
+@pytest.mark.usefixtures("values_alone")
 def test_a_table_follows_the_curve_and_survives_its_file():
     done = replace(found(), provenance=Provenance(("here",))).updated()
     made = loads_machine(dumps_machine(done.machine))
@@ -143,21 +145,23 @@ def test_a_table_follows_the_curve_and_survives_its_file():
     assert "Seal center, pressure by pressure" in done.comment
 
 
+@pytest.mark.usefixtures("values_alone")
 def test_a_line_says_that_the_points_are_none():
     lined = found("line")
     k = lined.to_dict()["seal"]["lines"]["k"]
     assert k["scatter"] > 10  # a square root is no line, and the band is as wide as that
     made = lined.updated().machine
     assert made.seals[0].table.axes[0][1] == (0.0, PRESSURES[-1])
-    assert "go on to" not in lined.seal.note
+    assert "extrapolated" not in lined.seal.note
     assert any(
         one.code == Code.SEAL_SCATTER and "k at" in one.what and "form table" in one.remedy
         for one in lined.findings
     )
     higher = replace(lined, seal=replace(lined.seal, highest=3e5))
-    assert "go on to 300000 Pa; the highest pressure measured is 170000 Pa" in higher.comment
+    assert "extrapolated to 300000 Pa; the highest measured pressure is 170000 Pa" in higher.comment
 
 
+@pytest.mark.usefixtures("values_alone")
 def test_without_a_calm_record_all_are_fitted_together():
     law = replace(machine(), seals=(replace(machine().seals[0], k=0.7 * 3.203e6),))
     inside = replace(

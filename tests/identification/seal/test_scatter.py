@@ -63,7 +63,7 @@ def test_a_point_off_the_line_is_named_with_its_pressure():
     little = SealByPressure(fit(off=(3, 1, 9.0)), "line", 3e5)  # sure, but below 2 % of k
     assert (
         not little.findings
-        and "go on to 300000 Pa" in little.note
+        and "is extrapolated to 300000 Pa" in little.note
         and "k at 150000 Pa is off the line" in little.note
     )
     three = SealByPressure(fit(off=(1, 1, 40.0), count=3), "line", 0.0).findings

@@ -40,6 +40,7 @@ def leaking(leak: float) -> StateSpace:
     )
 
 
+@pytest.mark.usefixtures("values_alone")
 def test_values_are_carried_from_where_the_rotor_stood_to_the_sensors_zero():
     """Against the rig's own coefficients, which the machine file states there."""
     law = leaking(1.0)
@@ -67,6 +68,7 @@ def test_values_are_carried_from_where_the_rotor_stood_to_the_sensors_zero():
     assert list(found.standing.places.values()) == pytest.approx(own, rel=0.1)
 
 
+@pytest.mark.usefixtures("values_alone")
 def test_a_rotor_at_the_zero_keeps_its_values():
     plant = plant_at(RIG, RIG.operation.nominal, {})
     k = 200
@@ -77,6 +79,7 @@ def test_a_rotor_at_the_zero_keeps_its_values():
     assert standing(RIG, [record], estimate, {}, FitOptions().bending_modes) is None
 
 
+@pytest.mark.usefixtures("values_alone")
 def test_a_seal_is_found_beside_magnets_at_the_place_of_the_record():
     """Under pressure, the rotor off the zero: magnets as there, their nonlinearity taken out."""
     law, point = leaking(0.25), OperatingPoint(seal_pressure=1e5)

@@ -114,7 +114,7 @@ def test_what_is_not_checked_is_said_and_another_sampling_is_named():
     assert "controller sampled by backward-euler instead of Tustin's rule" in other.verdict
 
 
-@pytest.mark.parametrize("modes", [3, 8])
+@pytest.mark.parametrize("modes", [3, pytest.param(8, marks=pytest.mark.study)])
 def test_as_many_bending_modes_are_modelled_as_the_record_tells(modes):
     """With more than the usual three the values are several times nearer to the truth."""
     given, pid = machine()

@@ -435,7 +435,7 @@ def test_the_page_of_seven_controllers_begins_with_the_decision_and_ends_with_th
         assert len(re.findall(f"<{tag}[ >]", body)) == body.count(f"</{tag}>") > 0
     maps = body[body.index('<div class="opening maps">') : body.index("Share of the limit")]
     # each panel is one part of the grid
-    assert [maps.count(f"<div><h3>{name}</h3>") for name in NAMES] == [1] * 7
+    assert [maps.count(f"<div><h2>{name}</h2>") for name in NAMES] == [1] * 7
     assert (
         body.count('<p class="screen">') == 2
         and ".screen { display: none; }" in text[text.index("@media print") :]

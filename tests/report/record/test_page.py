@@ -294,7 +294,7 @@ _TIME = np.arange(4000) / RATE
             0.5 + 0 * _TIME,
             0.0,
             True,
-            "within all limits.* Nearest to its limit: controller output, 2\u00a0A",
+            "within all limits.* Closest to its limit: controller output, 2\u00a0A",
         ),
         # one sample of 4000: 0.0 % of the time, and no failure
         (

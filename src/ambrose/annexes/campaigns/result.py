@@ -371,7 +371,7 @@ def campaign(
 # write(campaign_page(result, machine), "campaign/report.html")
 
 
-_WORST = 20  # rows of each table
+_WORST = 12  # rows of each table
 _LINES = 1500  # drawn; of more, the best half and the worst half
 _BINS = 10  # classes of a parameter that has more than three times as many values
 _MAPS = 3  # pairs of parameters that are mapped
@@ -379,7 +379,7 @@ _SCALE = ((0.0, "#d5efe8"), (0.5, "#f7bd80"), (1.0, "#d55e00"))
 _DARK = "#4a1626"
 _MAP = (
     "Each cell shows the worst of all cases that fall into it, whatever else is varied. Dark "
-    "cells hold an unstable loop. "
+    "cells: unstable loop. "
     "Drawn over the settings that matter most; the tenth of the cells that is worst has one colour."
 )
 _SHARES = (
@@ -411,7 +411,8 @@ def campaign_page(
     page of their own.
     """
     effects = campaign.effects()
-    sections = [Section("Worst cases", "", (), _worst_tables(campaign, pages))]
+    worst = _worst_tables(campaign, pages)
+    sections = [Section("Worst cases", "", (), worst[1:])] if worst[1:] else []
     sections += [
         Section("Maps", "", tuple(maps), ()) for maps in [_maps(campaign, effects)] if maps
     ]
@@ -446,7 +447,17 @@ def campaign_page(
         f" Worst case: {text}." for name, _, text in counts(campaign) if name == "worst"
     )
     result = Verdict("Result", not bad, words)
-    return Page("Campaign", machine, tuple(sections), tuple(verdicts), facts, date, result=result)
+    verdicts = [verdict for verdict in verdicts if verdict.text not in words]  # each is said once
+    return Page(
+        "Campaign",
+        machine,
+        tuple(sections),
+        tuple(verdicts),
+        facts,
+        date,
+        result=result,
+        opening=Section("", tables=worst[:1]),
+    )
 
 
 def counts(campaign: Campaign) -> list[tuple[str, bool | None, str]]:
@@ -487,7 +498,7 @@ def _told(campaign: Campaign, path: str, i: int) -> str:
 
 
 def _worst_tables(campaign: Campaign, pages: Collection[str]) -> tuple[Table, ...]:
-    order = campaign.worst_first[:_WORST].tolist()
+    order = campaign.worst_first[: max(_WORST, len(pages))].tolist()
     paths, tables = list(campaign.settings), []
     rows: list[Row] = []
     for i in order:

@@ -11,7 +11,7 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, names_wrong_types
 from ambrose.core.presentation import Presented
 from ambrose.machine.description import MagneticBearing, Tolerance
-from ambrose.machine.machine import Machine, across_the_shaft
+from ambrose.machine.machine import Machine
 from ambrose.machine.part import Magnet
 from ambrose.model.magnetics import (
     DrivenMagnet,
@@ -128,8 +128,7 @@ def magnet_sheets(
     which the force law is compared with its straight line. Raises InvalidInput where no magnet has
     a geometry, or the share is not between 0 and 1.
     """
-    across_the_shaft(
-        machine,
+    machine.across_the_shaft(
         "the sheets are those of radial magnets",
         "ambrose check of it tells those of the axis: k_i, k_s, core, capacity",
     )

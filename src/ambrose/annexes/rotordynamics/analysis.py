@@ -48,7 +48,7 @@ from ambrose.law.synchronous import at_bearings
 from ambrose.machine.attachment import attached
 from ambrose.machine.criteria import SENSITIVITY, SENSITIVITY_RANGE
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.machine import Machine, across_the_shaft
+from ambrose.machine.machine import Machine
 from ambrose.machine.ordinary_file import write_json
 from ambrose.machine.parameters import operating_point
 from ambrose.model.assemble import assemble
@@ -496,7 +496,7 @@ def lateral(
     line per stage. Raises InvalidInput for a machine at rest, for a trip speed below the running
     speeds and where a table does not reach it.
     """
-    across_the_shaft(machine, "a lateral analysis is of the motion across it")
+    machine.across_the_shaft("a lateral analysis is of the motion across it")
     chosen = _point(machine, point)
     running = machine.requirements.running_speeds
     turning = (item.speed for item in (*machine.operation.envelope, chosen))

@@ -222,11 +222,12 @@ def monitor_page(history: SealHistory, machine: Machine, *, date: str = "") -> P
     section = Section(
         "The seal against time", theme.prose(notes), pictures, (monitor_table(history),)
     )
-    result = Verdict(
-        "Result",
-        not history.findings,
-        "the seal is within its range" if not history.findings else "look at the seal",
+    found = "; ".join(
+        f"{path.text} {last.text}" + f" (range {limit.text})" * bool(limit.text)
+        for path, last, *_, limit in monitor_table(history).cells
     )
+    word = "Doubtful" if history.findings else "The seal is within its range"
+    result = Verdict("Result", not history.findings, f"{word}: {found}.")
     return Page("Seal monitor", machine, (section,), verdicts, facts, date, result=result)
 
 

@@ -36,7 +36,7 @@ from ambrose.judge.checks import Checks, Progress, information
 from ambrose.law.law import PRESSURE, SPEED, Law, LawLike, law_of
 from ambrose.law.loop import Timing, running_law
 from ambrose.machine.criteria import demand
-from ambrose.machine.machine import Machine, across_the_shaft
+from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
 from ambrose.model.uncertainty import reduce
@@ -321,12 +321,10 @@ def covered_spans(machine: Machine, law: LawLike) -> tuple[PressureSpan, ...]:
 def refuse(machine: Machine, law: Law, motion: Verifying) -> None:
     """Raises InvalidInput where a law cannot be examined along the motion that is asked for."""
     if motion.speed_rate is not None:
-        across_the_shaft(
-            machine, "nothing along it follows the speed", "leave the speed's rate out"
-        )
+        machine.across_the_shaft("nothing along it follows the speed", "leave the speed's rate out")
     if motion.pressure_rate is not None:
         remedy = "leave the pressure's rate out; the process thrust changes within load_time"
-        across_the_shaft(machine, "nothing along it follows the seals' pressure", remedy)
+        machine.across_the_shaft("nothing along it follows the seals' pressure", remedy)
     _over_pressure(law, motion.pressure_error)
     if motion.speed_rate is not None:
         _speed_spans(machine, law)

@@ -39,7 +39,7 @@ from ambrose.identification.parameters import nominal_values, reduced_plant
 from ambrose.law.law import LawLike
 from ambrose.law.supervision import Fault, Limits, SupervisedProgram
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.machine import Machine, across_the_shaft
+from ambrose.machine.machine import Machine
 from ambrose.machine.part import Seal, not_straight
 from ambrose.record.record import Record
 from ambrose.rig.linear import waveforms
@@ -394,7 +394,7 @@ def monitor(
 
 
 def _watched(machine: Machine, name: str | None) -> Seal:
-    across_the_shaft(machine, "the seals are watched across it")
+    machine.across_the_shaft("the seals are watched across it")
     names = [item.name for item in machine.seals]
     if not names:
         raise InvalidInput(

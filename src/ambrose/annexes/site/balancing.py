@@ -31,7 +31,7 @@ from ambrose.identification.parameters import COVERAGE
 from ambrose.identification.validation.places import load_doubt, machine_at_load
 from ambrose.law.law import LawLike, law_of
 from ambrose.law.loop import Timing, match_axes, timing_of
-from ambrose.machine.machine import Machine, across_the_shaft
+from ambrose.machine.machine import Machine
 from ambrose.machine.units import suggestion
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.sensor import linearised, runout_phasors
@@ -535,7 +535,7 @@ def balance(
     u_<axis> nor i_<axis>, and for 1x as it will be measured. settle [s]: left out at the beginning
     of every record. Raises InvalidInput.
     """
-    across_the_shaft(machine, UNBALANCE)
+    machine.across_the_shaft(UNBALANCE)
     names = tuple(planes)
     if not names:
         raise InvalidInput(

@@ -41,7 +41,7 @@ from ambrose.core.presentation import Presented
 from ambrose.core.statespace import select
 from ambrose.identification.parameters import COVERAGE
 from ambrose.law.law import LawLike, law_of
-from ambrose.machine.machine import Machine, across_the_shaft
+from ambrose.machine.machine import Machine
 from ambrose.machine.ordinary_file import read_text
 from ambrose.machine.units import suggestion
 from ambrose.model.assemble import assemble
@@ -495,7 +495,7 @@ def balance_amplitudes(
     scatter of the readings, the misfit between axes and speeds, and the tolerances of the machine
     file. Raises InvalidInput, also for a speed at which no current-free block is on.
     """
-    across_the_shaft(machine, UNBALANCE)
+    machine.across_the_shaft(UNBALANCE)
     radii = {
         name: check_positive(r, f"the radius of plane {name}", "give it in m")
         for name, r in planes.items()

@@ -24,7 +24,7 @@ from ambrose.identification.parameters import COVERAGE
 from ambrose.identification.pipeline import identify
 from ambrose.identification.result import Identification
 from ambrose.machine.description import BiasPoint, MagneticBearing
-from ambrose.machine.machine import Machine, across_the_shaft
+from ambrose.machine.machine import Machine
 from ambrose.record.files import read_record
 from ambrose.record.record import Record
 
@@ -143,7 +143,7 @@ def identify_over_bias(
     no closed-loop record tells it, else compared. unknown: what is sought at every bias. options:
     of the closed-loop fit (``pipeline.identify``). Raises InvalidInput.
     """
-    across_the_shaft(machine, "a bias campaign is of the radial magnets")
+    machine.across_the_shaft("a bias campaign is of the radial magnets")
     if not records and not loads:
         raise InvalidInput(
             "no record was given; record at several bias currents, with excitation or with static "

@@ -27,7 +27,7 @@ from ambrose.identification.findings import signal_rows
 from ambrose.identification.frf import Step
 from ambrose.identification.validation.places import load_doubt, machine_at_load
 from ambrose.machine.description import Pair
-from ambrose.machine.machine import Machine, across_the_shaft
+from ambrose.machine.machine import Machine
 from ambrose.machine.part import Runout, Sensor
 from ambrose.model.assemble import assemble
 from ambrose.model.effects import magnet
@@ -105,7 +105,7 @@ def calibrate(
     same at rest, one record or several at other bias currents or positions. settle [s]: left out at
     the beginning of every record. Raises InvalidInput.
     """
-    across_the_shaft(machine, "these tests go around it")
+    machine.across_the_shaft("these tests go around it")
     if find not in {"gain", "clearance"}:
         raise invalid(
             "find", repr(find), '"gain" or "clearance"', "the other of the two must be known"

@@ -32,7 +32,6 @@ from ambrose.judge.checks import Check, Checks, Curve, Verification, required_li
 from ambrose.law.law import law_of
 from ambrose.law.loop import timing_in_words
 from ambrose.machine.criteria import SENSITIVITY
-from ambrose.machine.file.toml import machine_hash
 from ambrose.model.effects import magnet
 from ambrose.report import tables, theme
 from ambrose.report import theme as units
@@ -62,8 +61,6 @@ _OPEN = (
     "zones, |S| = 3, 4 and 5; a loop that stays outside the largest is in zone A."
 )
 
-_WIDTHS = (20, 40, 40)  # [%] of the columns of the table of what was measured
-
 
 _MEASURED = "Measured. Limits apply to the outer end of the 95 % interval."
 
@@ -87,14 +84,11 @@ def acceptance_page(accepted: Acceptance, *, date: str = "") -> Page:
     loops = Verification(
         tuple(loop.checks for loop in accepted.points), timing=str(accepted.timing)
     )
-    digest = law_of(accepted.controller).digest
-    rows = (
-        ("Machine file", accepted.machine.name, Cell("", detail=machine_hash(accepted.machine))),
-        ("Controller", timing_in_words(f"{accepted.timing}"), Cell("", detail=digest)),
-        *(("Record", name, Cell("", detail=sha256)) for name, sha256 in accepted.records),
-    )
-    sections.append(
-        Section("What was measured", "", (), (Table("", ("", "What", "Hash"), rows, "", _WIDTHS),))
+    facts = (
+        ("Controller", law_of(accepted.controller).named),
+        ("Loop", timing_in_words(f"{accepted.timing}")),
+        *(("Record", f"{name}, SHA-256 {sha256}") for name, sha256 in accepted.records),
+        tables.unstated(accepted.machine),
     )
     table = tables.deciding_table(loops)
     decides = replace(table, note=f"{_MEASURED} {table.note}".strip())
@@ -103,7 +97,7 @@ def acceptance_page(accepted: Acceptance, *, date: str = "") -> Page:
         accepted.machine,
         tuple(sections),
         (),
-        (),
+        facts,
         date,
         result=Verdict("Result", accepted.passed, tables.deciding_verdict(loops)),
         opening=Section("", tables=(decides,)),
@@ -426,7 +420,7 @@ def frf_page(found: Responses, *, date: str = "") -> Page:
     facts = (
         ("Records", ", ".join(found.records)),
         ("Method", methods),
-        ("Loop that was modelled", timing_in_words(str(found.timing))),
+        ("Loop", timing_in_words(str(found.timing))),
         ("Operating points", "; ".join(point.label for point in found.points)),
     )
     good = "nothing found in channels and limits"

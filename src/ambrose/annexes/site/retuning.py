@@ -859,6 +859,7 @@ def _switch(
         machine,
         first,
         scenario,
+        axes=machine.group,
         point=replace(point, label=""),
         rate=chain.timing.rate,
         delay_samples=chain.timing.delay_samples,

@@ -30,7 +30,7 @@ from ambrose.judge.unbalance import capacity_margin
 from ambrose.law.pid import first_settings, pid_controller
 from ambrose.machine.criteria import SENSITIVITY, demand
 from ambrose.machine.description import Amplifier, MagneticBearing, Tolerance
-from ambrose.machine.machine import Machine, across_the_shaft, in_file, require_magnets
+from ambrose.machine.machine import Machine, require_magnets
 from ambrose.model.assemble import assemble
 from ambrose.model.effects import magnet
 from ambrose.model.effects.magnet import LoadedMagnet
@@ -559,7 +559,7 @@ def least(
             "gain is the thesis' minimum control action",
         )
     if lever in {"area", "bias", "bandwidth"}:
-        across_the_shaft(machine, SIZES)
+        machine.across_the_shaft(SIZES)
     if lever == "gain":
         return _least_gain(machine, method, time_limit, progress)
     if lever == "weight":
@@ -611,7 +611,7 @@ def _heaviest(machine: Machine, method: Tuned, progress: Callable[[str], None]) 
     """Bisection over the control weight of mu designs; mu grows with it."""
     weights = machine.weights
     if weights is None or weights.control_level is None or not machine.tolerances:
-        needs = in_file(machine, "[weights] with control_level, and a [[tolerance]]")
+        needs = machine.in_file("[weights] with control_level, and a [[tolerance]]")
         raise InvalidInput(f"lever weight needs {needs}; add them, or take lever gain")
     found: dict[float, Synthesis] = {}
     mu_method = Mu(
@@ -898,7 +898,7 @@ def size(
     reserve [-]: force at the largest control current over static load, at least. time_limit [s] of
     computing for each. Ctrl-C keeps the sizes that are done. Raises InvalidInput.
     """
-    across_the_shaft(machine, SIZES)
+    machine.across_the_shaft(SIZES)
     require_magnets(machine)
     method = (method or Tuned()).without_bank().on(machine)
     check_positive(

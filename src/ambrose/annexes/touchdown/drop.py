@@ -23,7 +23,7 @@ from ambrose.annexes.touchdown.drop_kernel import Case, Rig, SampledLaw, Work
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.machine.attachment import attached
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import Machine
 from ambrose.model.assemble import attached_rotor, modes_of
 from ambrose.model.effects import magnet
 from ambrose.model.effects import touchdown as contact_law
@@ -210,11 +210,8 @@ def seal_gaps(machine: Machine) -> list[tuple[str, float, float]]:
 
 def refuse(machine: Machine) -> None:
     """What cannot land. Raises InvalidInput."""
-    if isinstance(machine, AxialMachine):
-        raise InvalidInput(
-            f"{machine.name} is the axis along the shaft; take the machine without #axial, or let "
-            "the axis fall in ambrose simulate with the scenario power-loss"
-        )
+    fall = "let it fall in ambrose simulate with the scenario power-loss"
+    machine.across_the_shaft("landing is of the radial axes", fall)
     if not machine.bearings:
         raise InvalidInput(
             f"{machine.name} has no magnetic bearing to fall out of; give [[bearing]] with a "

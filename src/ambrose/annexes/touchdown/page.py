@@ -406,7 +406,7 @@ _HEADS = (
     "The heads of ISO 14839-5:2022, recalled from its published scope (its text was not at hand; "
     "it states no numeric limits), and where this page has something on them."
 )
-_WORDS = {"none": "for information", "pass": "holds", "fail": "fails"}
+_WORDS = {"none": "for information", "pass": "met", "fail": "not met"}
 _NO_MOUNT = " The machine file states no mount: the map shows what one would do."
 
 
@@ -446,7 +446,6 @@ def landing_page(result: Landing, *, date: str = "") -> Page:
     drawing = Figure("Rotor and its parts", machine_drawing(result.machine))
     sections = (
         Section("Rotor", "", (drawing,)),
-        Section("What landings cost", _COST, (), (cost_table(result),)),
         drop_section(result),
         *map(axial_section, result.along),
         *([] if result.campaign is None else [campaign_section(result)]),
@@ -467,6 +466,7 @@ def landing_page(result: Landing, *, date: str = "") -> Page:
         facts,
         date,
         result=Verdict("Result", result.passed, verdict_text(result)),
+        opening=Section("", tables=(cost_table(result),)),
     )
 
 
@@ -481,9 +481,9 @@ def verdict_text(result: Landing) -> str:
     decides = f"{worst.title} {_valued(worst.value, worst.unit)}, {worst.place}"
     decides += f" (limit {_valued(worst.limit or 0.0, worst.unit)})"
     if not failed:
-        return f"all {len(judged)} limits are met over {over}; tightest: {decides}"
+        return f"PASSED: all {len(judged)} limits are met over {over}; tightest: {decides}"
     verb = "is" if len(failed) == 1 else "are"
-    words = f"{len(failed)} of {len(judged)} limits {verb} not met over {over}"
+    words = f"FAILED: {len(failed)} of {len(judged)} limits {verb} not met over {over}"
     return f"{words}; {'furthest beyond its limit: ' if len(failed) > 1 else ''}{decides}"
 
 
@@ -498,7 +498,8 @@ def cost_rows(result: Landing) -> tuple[tuple[str, str, str, str, str], ...]:
     """(place, quantity, value, limit, mark) of every row, as text."""
     rows = []
     for row in result.rows:
-        limit = "" if row.limit is None else f"{row.relation} {_valued(row.limit, row.unit)}"
+        sign = "≤" if row.relation == "<=" else "≥"
+        limit = "" if row.limit is None else f"{sign} {_valued(row.limit, row.unit)}"
         mark = {None: "none", True: "pass", False: "fail"}[row.passed]
         rows.append((row.place, row.title, _valued(row.value, row.unit), limit, mark))
     return tuple(rows)
@@ -508,7 +509,9 @@ def _valued(value: float, unit: str) -> str:
     if not np.isfinite(value):
         return "not bounded"
     if unit == "N":
-        return f"{value / 1e3:.3g} kN"
+        return f"{theme.number(value / 1e3)} kN"
+    if unit == "J":
+        return f"{theme.number(value / 1e3)} kJ"
     if unit == "K":
         return f"{value - 273.15:.4g} °C"
     if unit == "s":
@@ -527,7 +530,7 @@ def cost_table(result: Landing) -> Table:
         "Against the limits of the file",
         ("Place", "Quantity", "Value", "Limit", "Verdict"),
         rows,
-        "; ".join(notes),
+        " ".join((*(f"{note}." for note in notes), _COST)),
     )
 
 

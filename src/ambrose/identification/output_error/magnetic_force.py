@@ -98,7 +98,6 @@ def thrust_responses(
     magnets are found, or the linear loop leaves their gaps.
     """
     machine = plant.machine
-    assert isinstance(machine, AxialMachine)
     (axis,), at = machine.axes, machine.condition(plant.point)
     part = with_found(machine.thrust, at.load, at.place, *coefficients)
     loop = closed_loop(plant, law)

@@ -91,7 +91,7 @@ def at_place(machine: AxialMachine, records: Sequence[Record]) -> AxialMachine:
 
 
 def thrust_findings(
-    machine: AxialMachine,
+    machine: Machine,
     values: dict[str, float],
     point: OperatingPoint,
     records: Sequence[Record],
@@ -165,8 +165,8 @@ def load_remarks(
     of the machine file: u_ or i_ of the first record that has it, else the one of ``loads`` {axis:
     [A]}; ``at_zero`` {axis: [A]}, where the rotor stood off the sensors' zero, before all.
     """
-    if isinstance(machine, AxialMachine):
-        return ()  # its load is the process thrust, stated with the operating point
+    if not machine.bearings:  # the load of the thrust axis is stated with the operating point
+        return ()
     means = recorded_means(records)
     if _without_mean(machine, means, _bias(records)):
         means = {}
@@ -183,7 +183,7 @@ def load_doubt(machine: Machine, records: Sequence[Record]) -> str:
     """Why a machine file whose magnets need other currents for the weight than were recorded is not
     to be relied on; "" where they agree within a tenth, or there is nothing to compare.
     """
-    if isinstance(machine, AxialMachine):
+    if not machine.bearings:
         return ""
     means, bias = recorded_means(records), _bias(records)
     needed = _needed_currents(machine, bias)
@@ -365,7 +365,7 @@ def standing(
     loads {axis: [A]}: static currents found, for records without currents; else those that the
     machine file's weight needs.
     """
-    if isinstance(machine, AxialMachine) or not machine.bearings:
+    if not machine.bearings:
         return None
     values = {
         path: float(value)

@@ -35,7 +35,7 @@ from ambrose.identification.validation.places import thrust_findings
 from ambrose.identification.validation.repeatability import SimulatedOutput
 from ambrose.identification.validation.suspects import FILE, equations_at, file_numbers
 from ambrose.law.law import LawLike
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
 from ambrose.model.assemble import assemble
 from ambrose.record.record import Record
@@ -392,7 +392,7 @@ def diagnose_fit(
 def _thrust(
     machine: Machine, result: ParameterEstimate, outputs: Sequence[SimulatedOutput]
 ) -> Iterator[Finding]:
-    if not isinstance(machine, AxialMachine):
+    if not machine.conditions:
         return
     values = {
         parse_parameter(path).quantity: float(value)

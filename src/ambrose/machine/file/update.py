@@ -28,7 +28,7 @@ from ambrose.machine.file.toml import (
     read_machine_text,
 )
 from ambrose.machine.kinds import Quantity
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.ordinary_file import write_text
 from ambrose.machine.parameters import parse_parameter
 from ambrose.machine.part import MATERIALS, SEAL_AXES
@@ -188,8 +188,7 @@ def machine_text(machine: Machine) -> str:
     """A machine as TOML text: the file that it was read from brought up to date, or else anew in SI
     numbers. An axis along the shaft is written with its whole machine.
     """
-    if isinstance(machine, AxialMachine) and machine.whole is not None:
-        machine = machine.whole
+    machine = machine.whole or machine
     return (
         update_machine_file(machine.file_text, machine)
         if machine.file_text

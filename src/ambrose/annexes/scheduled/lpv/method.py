@@ -109,19 +109,16 @@ class Lpv(Method):
         """Whether the operating points around the plant's give a range of speeds to schedule
         over.
         """
-        from ambrose.machine.machine import AxialMachine
-
-        along = isinstance(plant.machine, AxialMachine)
-        return not along and _range_of_speeds(plant) and plant.machine.weights is not None
+        radial = bool(plant.machine.bearings)
+        return radial and _range_of_speeds(plant) and plant.machine.weights is not None
 
     def design(self, plant: Plant, progress: Progress) -> Synthesis:
         import numpy as np
 
         from ambrose.annexes.scheduled.lpv.machine import POINTS, POINTS_OF_TWO, design_schedule
         from ambrose.law.law import BOTH
-        from ambrose.machine.machine import across_the_shaft
 
-        across_the_shaft(plant.machine, "no law along it follows speed or pressure", "take mu")
+        plant.machine.across_the_shaft("no law along it follows speed or pressure", "take mu")
         asked = self.schedules or ((_varied(plant), None, None),)
         along, points = (asked[0][0], POINTS) if len(asked) == 1 else (BOTH, POINTS_OF_TWO)
         grid = tuple(np.linspace(*limits, points) for _, limits, _ in asked if limits is not None)

@@ -243,11 +243,11 @@ def _verdict(looks: Sequence[Glance]) -> Block:
     lost = [look.stability.label for look in looks if not look.stability.stable]
     worst = max(looks, key=lambda look: look.peak)
     passed = all(look.passed for look in looks)
-    text = f"unstable at {', '.join(lost)}, on the reduced plant."
+    text = f"the sliders' loop is unstable at {', '.join(lost)} (reduced plant)."
     if not lost:
         text = (
-            f"stable at all {len(looks)} operating points on the reduced plant; largest "
-            f"sensitivity of an axis {worst.peak:.3g} at {worst.stability.label}."
+            f"the sliders' loop is stable at all {len(looks)} operating points (reduced plant); "
+            f"largest sensitivity of an axis {worst.peak:.3g} at {worst.stability.label}."
         )
     word = "PASSED" if passed else "FAILED"
     return blocks.words("verdict", f"{word}: {text}", tone="good" if passed else "bad")
