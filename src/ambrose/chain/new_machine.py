@@ -570,7 +570,8 @@ def _sensors(
     modes = free_modes(rotor, min(_MODES, bending_modes_of(rotor)))
     count = max(2, int((modes.frequencies[4::2] <= _REACH).sum()))
     plane = in_plane(modes)[:, 2 : 2 + count]
-    long, positions, between = bare.length, [], []
+    long, positions = bare.length, list[Sensor]()
+    between = list[str]()
     for name, place in zip(names, places, strict=True):
         outward = -1.0 if place < long / 2 else 1.0
         sides = [

@@ -7,7 +7,7 @@ import math
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -29,6 +29,9 @@ from ambrose.terminal import (
     say_json,
     say_verdict,
 )
+
+if TYPE_CHECKING:
+    from ambrose.machine.machine import Machine
 
 # `ambrose accept`.
 
@@ -464,7 +467,7 @@ def bias(
     sys.exit(0 if done.passed else 1)
 
 
-def _law(text: str, machine: Any) -> tuple[float | None, Any]:
+def _law(text: str, description: Machine) -> tuple[float | None, Any]:
     """ "6=pid6.json" -> 6.0 and the controller; a path alone -> None and the controller. Raises
     InvalidInput.
     """
@@ -475,7 +478,7 @@ def _law(text: str, machine: Any) -> tuple[float | None, Any]:
         key: float | None = float(amperes) if equals else None
     except ValueError:
         key, path = None, text
-    return key, read_controller(Path(path if key is not None else text), machine)
+    return key, read_controller(Path(path if key is not None else text), description)
 
 
 # `ambrose frf`.

@@ -117,7 +117,8 @@ class FreeModes:
         modal_damping. Rigid modes, of frequency 0, have none.
         """
         # C = alpha M + beta K: 2 zeta w = alpha + beta w^2; loss factor: K (1 + j eta) at s = j w
-        alpha, beta, eta = machine.rayleigh_alpha, machine.rayleigh_beta, machine.loss_factor
+        alpha, beta = machine.rayleigh_alpha, machine.rayleigh_beta
+        eta = machine.loss_factor
         w = np.where(self.frequencies > 0, self.frequencies, np.inf)
         ratios = np.full(len(w), machine.modal_damping)
         if alpha or beta or eta:

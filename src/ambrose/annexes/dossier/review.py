@@ -29,6 +29,8 @@ from ambrose.terminal import (
 
 if TYPE_CHECKING:
     from ambrose.judge.checks import Verification
+    from ambrose.law.law import Law
+    from ambrose.machine.machine import Machine
     from ambrose.report.page import Brand, Page
 
 _FIGURES = ("Output sensitivity", "Unbalance placed", "Slow motion")  # of the pages behind
@@ -45,7 +47,7 @@ class Review:
     `check` says of it. not_judged: a sentence each. sources: file and SHA-256.
     """
 
-    machine: Any
+    machine: Machine
     verification: Verification
     lateral: Any
     landing: Any
@@ -122,10 +124,10 @@ class Review:
 
 
 def review(
-    machine: Any,
-    controller: Any,
+    machine: Machine | str,
+    controller: Law | str | Path,
     *,
-    axial: Any = None,
+    axial: Law | str | Path | None = None,
     progress: Progress = lambda stage: None,
 ) -> Review:
     """The machine and its controller: check, verification, lateral analysis, and landing where the

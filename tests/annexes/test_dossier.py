@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 import ambrose as amb
-from ambrose.annexes.review.review import review_page
+from ambrose.annexes.dossier.review import review_page
 from ambrose.cli import main
 from ambrose.machine.file.update import save_machine
 from ambrose.report.page import Brand, brand_of, render
