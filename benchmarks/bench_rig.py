@@ -18,6 +18,7 @@ import numpy as np
 
 import ambrose as amb
 from ambrose import load_machine
+from ambrose.law.law import law_of
 from ambrose.law.pid import pid_controller
 from ambrose.model.effects import amplifier, magnet, seal
 from ambrose.model.plant import top_speed
@@ -240,7 +241,7 @@ def _all_axes(length: float, rates: tuple[float, ...], runs: int) -> Iterator[di
     machine = load_machine(EXAMPLE)
     point = machine.operation.nominal
     laws = [amb.design(part, "pid").at(point) for part in (machine, machine.axial)]
-    parts = all_axes.parts_of(*laws)
+    parts = all_axes.parts_of(law_of(laws[0]), laws[1])
     assert parts is not None
     speed = top_speed(machine)
     swing = Scenario(

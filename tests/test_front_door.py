@@ -162,7 +162,7 @@ WRONG = [
     (lambda m, c: amb.verify(m, control.ss([], [], [], np.eye(3))), "(4, 4)"),
     (lambda m, c: amb.verify(m, c, points="elsewhere"), "nominal pressure"),
     (lambda m, c: amb.simulate(m, c, "levitatoin"), "levitation"),
-    (lambda m, c: amb.simulate(m, None), "StateSpace"),
+    (lambda m, c: amb.simulate(m, 3), "controller"),
     (lambda m, c: amb.identify(m, [], c), "record"),
     (lambda m, c: amb.identify(m, 3, c), "record"),
     (lambda m, c: amb.identify(m, "no-such.h5", c), "no-such.h5"),

@@ -274,7 +274,7 @@ def test_a_study_stays_in_its_folder_whatever_the_machine_is_called(tmp_path, mo
     places = []
     monkeypatch.chdir(inner)
     monkeypatch.setattr(
-        "ambrose.chain.study.study", lambda machine, place, progress: places.append(place) or 1 / 0
+        "ambrose.chain.study.study", lambda machine, place, *rest: places.append(place) or 1 / 0
     )
     (tmp_path / "m.toml").write_text(SMALL.replace('"small"', '"x/../../ESCAPED"', 1))
     done = CliRunner().invoke(main, ["study", str(tmp_path / "m.toml")])

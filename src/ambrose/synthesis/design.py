@@ -35,7 +35,7 @@ from ambrose.law.law import law_of
 from ambrose.law.loop import DEFAULT, Timing, check_rate, closed_loop, timing_of
 from ambrose.machine.criteria import SENSITIVITY, demand
 from ambrose.machine.file.toml import machine_hash
-from ambrose.machine.machine import AxialMachine, Machine, require_magnets
+from ambrose.machine.machine import Machine, require_magnets
 from ambrose.model.assemble import assemble, bending_modes_of, driven_modes, judged_bending
 from ambrose.model.effects.rotor import free_modes
 from ambrose.model.plant import Plant
@@ -488,7 +488,7 @@ def design(
 
 def _barred(machine: Machine) -> str:
     """The bending modes that bar a design, the places that make them do so, and what to move."""
-    if isinstance(machine, AxialMachine) or not (driven := driven_modes(machine)):
+    if not machine.bearings or not (driven := driven_modes(machine)):
         return ""
     modes = [
         f"bending mode {mode} ({frequency / _TWO_PI:.3g} Hz), in which magnet and sensor {bearing} "
