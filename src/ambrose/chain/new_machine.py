@@ -423,6 +423,13 @@ def machine_of_rotor(rotor: RotorModel, known: Known | None = None) -> Machine:
         controller=PidSettings(sample_time=1 / sampling, delay=1 / sampling),
     )
     settings, peak = holding_pid(machine)
+    if peak == math.inf and not known.sensors:  # the sign of the two lowest modes alone
+        again = dict[str, str]()
+        other = replace(machine, sensors=_sensors(bare, names, places, again, reach=0.0))
+        tried, least = holding_pid(other)
+        if least < math.inf:
+            machine, reasons = other, reasons | again
+            settings, peak = tried, least
     k_i, k_s = magnet_coefficients(machine, machine.operation.design)
     reasons["controller"] = (
         f"K_p = {settings.gain[0] / float((k_s / k_i).max()):.2g} k_s/k_i, T_d from the "
@@ -561,14 +568,18 @@ def _stiffness(bearing: MagneticBearing) -> float:
 
 
 def _sensors(
-    bare: MachineDescription, names: Sequence[str], places: Sequence[float], reasons: dict[str, str]
+    bare: MachineDescription,
+    names: Sequence[str],
+    places: Sequence[float],
+    reasons: dict[str, str],
+    reach: float = _REACH,
 ) -> tuple[Sensor, ...]:
-    """Beside each bearing, on the side where all bending modes within reach move as at the magnet,
-    two at least; else at its middle, as a pair on both its sides reads it.
+    """Beside each bearing, on the side where all bending modes up to ``reach`` [rad/s] move as at
+    the magnet, two at least; else at its middle, as a pair on both its sides reads it.
     """
     rotor = finite_element_rotor(bare)
     modes = free_modes(rotor, min(_MODES, bending_modes_of(rotor)))
-    count = max(2, int((modes.frequencies[4::2] <= _REACH).sum()))
+    count = max(2, int((modes.frequencies[4::2] <= reach).sum()))
     plane = in_plane(modes)[:, 2 : 2 + count]
     long, positions = bare.length, list[Sensor]()
     between = list[str]()
