@@ -20,8 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose import design as tuned
-from ambrose import load_machine
+from ambrose import design as tuned, load_machine
 from ambrose.code.block.block import ControlBlock, build_block
 from ambrose.code.block.fixed_point import in_words
 from ambrose.code.block.scheduled import build_scheduled_block, supervise

@@ -29,8 +29,7 @@ from ambrose.identification.frf import Step, compare, stepped, steps_of
 from ambrose.identification.output_error import closed_loop
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.parameters import update_machine
-from ambrose.identification.seal import by_frequency as stepped_sine
-from ambrose.identification.seal import pipeline as time_domain
+from ambrose.identification.seal import by_frequency as stepped_sine, pipeline as time_domain
 from ambrose.identification.seal.by_pressure import COEFFICIENTS, SealFit, averaged, line
 from ambrose.law.loop import closed_loop as loop_of
 from ambrose.law.pid import pid_controller

@@ -9,8 +9,7 @@ import numpy as np
 from ambrose.identification.frf_spectral import Frf
 from ambrose.judge.checks import Curve
 from ambrose.machine.machine import Machine
-from ambrose.report import theme
-from ambrose.report import theme as units
+from ambrose.report import theme, theme as units
 from ambrose.report.figures import seals as seal_figures
 from ambrose.report.figures.bode import Panel, panel_figure
 from ambrose.report.page import Figure, Page, Section

@@ -21,8 +21,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.identification.static_load import StaticLoad
 from ambrose.identification.validation.repeatability import Repeats
 from ambrose.machine.machine import Machine
-from ambrose.report import theme
-from ambrose.report import theme as units
+from ambrose.report import theme, theme as units
 from ambrose.report.page import Cell, Figure, Page, Section, Table, Verdict
 
 _QUANTITIES = {

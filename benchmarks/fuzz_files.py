@@ -342,8 +342,7 @@ def measured(machine: Any, law: Any, folder: Path) -> dict[str, bytes]:
 
     import ambrose as amb
     from ambrose.core.frequency import frequency_response
-    from ambrose.record.response import Path as Measured
-    from ambrose.record.response import Response
+    from ambrose.record.response import Path as Measured, Response
     from ambrose.record.response_files import write_response
 
     plant = amb.reduce(amb.assemble(machine))
@@ -457,8 +456,7 @@ def judge(kind: str, path: Path, folder: Path, *, apart: bool = False) -> str:
     from click.testing import CliRunner
 
     from ambrose.cli import main
-    from ambrose.record import apart as process
-    from ambrose.record import foreign
+    from ambrose.record import apart as process, foreign
     from ambrose.record.apart import read_variables
 
     tiny = str(folder / "tiny.toml")

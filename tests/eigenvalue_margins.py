@@ -11,8 +11,7 @@ import numpy as np
 
 from ambrose.core.checks import invalid
 from ambrose.core.frequency import SchurForm, evaluate, schur_form
-from ambrose.core.statespace import StateSpace, close, select
-from ambrose.core.statespace import balance_matrix as balance
+from ambrose.core.statespace import StateSpace, balance_matrix as balance, close, select
 
 # points added to the eigenvalues' frequencies, a second net for eigenvalues that rounding displaced
 _PER_DECADE = 20

@@ -18,8 +18,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import static_gain
 from ambrose.judge.controller_file import read_controller, write_controller
 from ambrose.judge.result import Synthesis
-from ambrose.machine import ordinary_file as atomic_write
-from ambrose.machine import ordinary_file as claim
+from ambrose.machine import ordinary_file as atomic_write, ordinary_file as claim
 from ambrose.machine.file.toml import bundled_machines
 from ambrose.machine.ordinary_file import claimed
 from ambrose.record import foreign

@@ -98,15 +98,17 @@ if TYPE_CHECKING:
 
     from ambrose.annexes.campaigns.result import campaign as campaign
     from ambrose.annexes.scheduled.monitor import monitor as monitor
-    from ambrose.api import assemble as assemble
-    from ambrose.api import design as design
-    from ambrose.api import export as export
-    from ambrose.api import identify as identify
-    from ambrose.api import plot as plot
-    from ambrose.api import reduce as reduce
-    from ambrose.api import simulate as simulate
-    from ambrose.api import study as study
-    from ambrose.api import verify as verify
+    from ambrose.api import (
+        assemble as assemble,
+        design as design,
+        export as export,
+        identify as identify,
+        plot as plot,
+        reduce as reduce,
+        simulate as simulate,
+        study as study,
+        verify as verify,
+    )
 
 
 def __getattr__(name: str) -> Any:

@@ -76,8 +76,7 @@ def reduce(plant: Plant, bending_modes: int | None = None) -> Plant:
     InvalidInput.
     """
     from ambrose.model.plant import Plant as PlantType
-    from ambrose.model.uncertainty import default_bending_modes
-    from ambrose.model.uncertainty import reduce as reduced
+    from ambrose.model.uncertainty import default_bending_modes, reduce as reduced
 
     if not isinstance(plant, PlantType):
         raise invalid(

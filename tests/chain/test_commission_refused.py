@@ -13,8 +13,7 @@ from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.identification.output_error import closed_loop
-from ambrose.law.loop import closed_loop as loop_of
-from ambrose.law.loop import match_controller
+from ambrose.law.loop import closed_loop as loop_of, match_controller
 from ambrose.law.pid import pid_controller
 from ambrose.model.assemble import assemble
 from ambrose.model.uncertainty import free_mode_reduction

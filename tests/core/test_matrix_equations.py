@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 import scipy.linalg as sla
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, UnstableSystem
 from ambrose.core.frequency import frequency_response

@@ -6,8 +6,7 @@ import control
 import numpy as np
 import pytest
 import scipy.optimize
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from ambrose.core import norms
 from ambrose.core.checks import InvalidInput, UnstableSystem

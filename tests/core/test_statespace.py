@@ -10,8 +10,7 @@ import control
 import numpy as np
 import pytest
 import scipy.signal
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.statespace import (

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import StateSpace as Lti
-from scipy.signal import lsim
+from scipy.signal import StateSpace as Lti, lsim
 
 import ambrose as amb
 from ambrose.core.checks import InvalidInput

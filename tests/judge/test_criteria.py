@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ambrose.judge.checks import Check, Checks, judge, zone_lines
-from ambrose.judge.checks import zone as zone_of
+from ambrose.judge.checks import Check, Checks, judge, zone as zone_of, zone_lines
 from ambrose.machine import criteria
 from ambrose.machine.description import Requirements
 

@@ -16,12 +16,10 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine import description as d
-from ambrose.machine import thrust as t
+from ambrose.machine import description as d, thrust as t
 from ambrose.machine.file import update
 from ambrose.machine.file.tables import Table, machine_file, machine_schema, table_below
 from ambrose.machine.file.toml import (

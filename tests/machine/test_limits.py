@@ -28,8 +28,7 @@ from ambrose.machine import ordinary_file as limits
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.file.toml import loads_machine
 from ambrose.machine.part import ShaftSection
-from ambrose.record import apart, hdf5_file
-from ambrose.record import files as csv_file
+from ambrose.record import apart, files as csv_file, hdf5_file
 from ambrose.record.files import read_record, write_record
 from ambrose.record.foreign import Column, ColumnMap, load_columns, read_foreign
 from ambrose.record.record import Record

@@ -4,8 +4,7 @@ import itertools
 from dataclasses import replace
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import OperatingPoint

@@ -9,8 +9,7 @@ from fractions import Fraction
 import numpy as np
 import pint
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 
 from ambrose.machine.units import (
     DIMENSIONS,

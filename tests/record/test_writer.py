@@ -18,8 +18,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import OperatingPoint
 from ambrose.record.files import read_record, write_record
 from ambrose.record.record import Record
-from ambrose.record.stream import RecordWriter, partial_path
-from ambrose.record.stream import block as stream_block
+from ambrose.record.stream import RecordWriter, block as stream_block, partial_path
 
 POINT = OperatingPoint(speed=1200.0, seal_pressure=2.04e5, label="nominal")
 SIGNALS, UNITS = ("y_A_zeta", "i_A_zeta", "f_center_x"), ("m", "A", "N")

@@ -11,8 +11,7 @@ from ambrose.judge.result import Synthesis
 from ambrose.judge.verdict import verify_controller
 from ambrose.law.law import law_of
 from ambrose.machine.file.toml import load_machine, machine_hash
-from ambrose.report import record, verification
-from ambrose.report import verification as synchronous
+from ambrose.report import record, verification, verification as synchronous
 from ambrose.report.page import page_of
 from ambrose.rig.scenario import Scenario
 from ambrose.rig.trial import simulate_scenario

@@ -20,8 +20,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.judge.checks import Check, Checks, Curve, Verification
 from ambrose.machine.machine import Machine
 from ambrose.registry import registered, resolve
-from ambrose.report import page as document
-from ambrose.report import tables
+from ambrose.report import page as document, tables
 from ambrose.report.page import Cell, Figure, Page, Section, Subject, Table, Verdict
 from ambrose.report.verification import verification_page
 from needs import CHROMIUM, needs

@@ -355,8 +355,7 @@ def trade_off(
     its values.
     """
     from ambrose.synthesis.methods import Tuned
-    from ambrose.synthesis.trade_off import read_value
-    from ambrose.synthesis.trade_off import trade_off as traded
+    from ambrose.synthesis.trade_off import read_value, trade_off as traded
 
     description = load(machine)
     wanted = [read_value(over, text.strip()) for text in values.split(",") if text.strip()]

@@ -261,8 +261,10 @@ def identify(
     """
     from ambrose.api import identify as run
     from ambrose.identification.pipeline import Provenance, check_controller
-    from ambrose.identification.validation.plausibility import check_comparable
-    from ambrose.identification.validation.plausibility import compare as agreement
+    from ambrose.identification.validation.plausibility import (
+        check_comparable,
+        compare as agreement,
+    )
     from ambrose.machine.file.update import machine_text
     from ambrose.machine.ordinary_file import write_text
 

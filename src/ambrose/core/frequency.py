@@ -20,8 +20,7 @@ from numpy.typing import ArrayLike
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, check_shape, invalid
 from ambrose.core.presentation import Presented, data_frame, to_plain
-from ambrose.core.statespace import Names, as_statespace, index_of
-from ambrose.core.statespace import balance_matrix as balance
+from ambrose.core.statespace import Names, as_statespace, balance_matrix as balance, index_of
 
 _LEAF = 16  # rows solved one by one at the bottom of the recursion
 _NEAR = 100.0  # points within so many rounding errors of a pole are evaluated one by one

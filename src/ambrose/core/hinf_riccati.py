@@ -34,8 +34,7 @@ from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
 from ambrose.core.frequency import evaluate, schur_eigenvalues, schur_form
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.matrix_equations import solve_riccati
-from ambrose.core.statespace import StateSpace, balance_system
-from ambrose.core.statespace import balance_matrix as balance
+from ambrose.core.statespace import StateSpace, balance_matrix as balance, balance_system
 
 # The generalized plant made ready for computing: states, controls and measurements scaled, D22
 # taken out; and the way back.

@@ -22,8 +22,12 @@ from ambrose.core.checks import (
     named_failure,
 )
 from ambrose.core.frequency import schur_eigenvalues
-from ambrose.core.statespace import StateSpace, as_statespace, balance_system
-from ambrose.core.statespace import balance_matrix as balance
+from ambrose.core.statespace import (
+    StateSpace,
+    as_statespace,
+    balance_matrix as balance,
+    balance_system,
+)
 
 _RESIDUAL = 1e-8  # largest accepted residual, relative to the terms of the equation
 _EPS = float(np.finfo(float).eps)

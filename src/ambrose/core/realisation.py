@@ -42,6 +42,7 @@ from ambrose.core.statespace import (
     StateSpace,
     append,
     as_statespace,
+    balance_matrix as balance,
     balance_system,
     close,
     index_of,
@@ -51,7 +52,6 @@ from ambrose.core.statespace import (
     select,
     spectral_abscissa,
 )
-from ambrose.core.statespace import balance_matrix as balance
 
 # A system in real block-diagonal form: every state couples only with those whose poles it cannot be
 # told from.

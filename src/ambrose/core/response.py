@@ -30,8 +30,7 @@ from ambrose.core.checks import (
     invalid,
     same_clock,
 )
-from ambrose.core.statespace import StateSpace, as_statespace
-from ambrose.core.statespace import balance_matrix as balance
+from ambrose.core.statespace import StateSpace, as_statespace, balance_matrix as balance
 
 _CHUNK = 2_000_000  # numbers held for one batch of blocks: 16 MB, whatever the record length
 _DOUBLINGS = 6  # blocks of 64 samples of a free response

@@ -18,8 +18,13 @@ from ambrose.core.checks import (
     named_failure,
 )
 from ambrose.core.realisation import invariant_zeros
-from ambrose.core.statespace import StateSpace, as_statespace, series, transfer_function
-from ambrose.core.statespace import balance_matrix as balance
+from ambrose.core.statespace import (
+    StateSpace,
+    as_statespace,
+    balance_matrix as balance,
+    series,
+    transfer_function,
+)
 
 Method = Literal["zoh", "tustin", "backward-euler", "matched"]
 _NO_PREWARP = ("zoh", "backward-euler")

@@ -35,8 +35,8 @@ from ambrose.identification.validation.plausibility import (
     diagnose_values,
     fit_with_priors,
     prior_of,
+    words as priors_in_words,
 )
-from ambrose.identification.validation.plausibility import words as priors_in_words
 from ambrose.identification.validation.repeatability import of_estimates, simulate_outputs
 from ambrose.identification.validation.suspects import (
     Suspect,

@@ -20,8 +20,7 @@ import numpy as np
 from ambrose.core.aliasing import continuous_poles
 from ambrose.core.checks import check_shape, invalid, named_failure
 from ambrose.core.presentation import Presented
-from ambrose.core.statespace import StateSpace, index_of
-from ambrose.core.statespace import balance_matrix as balance
+from ambrose.core.statespace import StateSpace, balance_matrix as balance, index_of
 from ambrose.judge.checks import Check, Curve, information, judge
 from ambrose.law.law import LawLike
 from ambrose.law.loop import closed_loop

@@ -10,8 +10,14 @@ import numpy as np
 from ambrose.core.checks import invalid
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
-from ambrose.core.statespace import StateSpace, feedback, select, series, static_gain
-from ambrose.core.statespace import spectral_abscissa as abscissa_of
+from ambrose.core.statespace import (
+    StateSpace,
+    feedback,
+    select,
+    series,
+    spectral_abscissa as abscissa_of,
+    static_gain,
+)
 from ambrose.judge import campbell
 from ambrose.judge.checks import Curve
 from ambrose.law.law import LawLike, law_of

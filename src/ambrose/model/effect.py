@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import check_shape, invalid
-from ambrose.machine.attachment import Attachment
-from ambrose.machine.attachment import attached as parts_of
+from ambrose.machine.attachment import Attachment, attached as parts_of
 from ambrose.machine.description import MachineDescription, OperatingPoint
 
 

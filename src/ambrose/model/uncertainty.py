@@ -20,8 +20,15 @@ from ambrose.core.checks import InvalidInput, NumericalFailure, check_shape, inv
 from ambrose.core.frequency import largest_gain
 from ambrose.core.lft import GeneralizedPlant, RealBlock, close_uncertainty
 from ambrose.core.mechanical import SecondOrder, project, to_statespace, velocity_scales
-from ambrose.core.statespace import StateSpace, append, connect, rename, select, static_gain
-from ambrose.core.statespace import balance_matrix as balance
+from ambrose.core.statespace import (
+    StateSpace,
+    append,
+    balance_matrix as balance,
+    connect,
+    rename,
+    select,
+    static_gain,
+)
 from ambrose.machine.attachment import attached
 from ambrose.machine.description import Amplifier, Tolerance
 from ambrose.machine.machine import AxialMachine
@@ -45,8 +52,7 @@ from ambrose.model.assemble import (
     with_states,
 )
 from ambrose.model.axial import SIDES, at_point
-from ambrose.model.effects import amplifier as amplifiers
-from ambrose.model.effects import seal_rational, sensor
+from ambrose.model.effects import amplifier as amplifiers, seal_rational, sensor
 from ambrose.model.effects.rotor import free_modes
 from ambrose.model.effects.seal_rational import has_states
 from ambrose.model.effects.stations import foundation

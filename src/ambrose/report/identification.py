@@ -33,8 +33,7 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import TIMING, parse_parameter
 from ambrose.record.record import Record
 from ambrose.report import tables, theme
-from ambrose.report.figures.bode import Panel, panel_figure
-from ambrose.report.figures.bode import residual_figure as residual_response
+from ambrose.report.figures.bode import Panel, panel_figure, residual_figure as residual_response
 from ambrose.report.figures.seals import frequency_figure, pressure_figure, response_figure
 from ambrose.report.page import Cell, Figure, Page, Row, Section, Subject, Table, Verdict, numbers
 from ambrose.report.record import thinned

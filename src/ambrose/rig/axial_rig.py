@@ -403,9 +403,7 @@ def rightmost_pole(
 @cache
 def _kernel() -> Any:
     """``advance`` of axial_kernel.py, compiled on first use and kept."""
-    from ambrose.rig.engine import axial_kernel
-    from ambrose.rig.engine import controller as sampled
-    from ambrose.rig.engine import products as inlined
+    from ambrose.rig.engine import axial_kernel, controller as sampled, products as inlined
 
     digest = hashlib.sha256()
     for module in (axial_kernel, inlined, sampled, amplifier, sensor):

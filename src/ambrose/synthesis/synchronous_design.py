@@ -61,8 +61,8 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.part import SYNCHRONOUS_UPDATES, Synchronous
 from ambrose.model.plant import top_speed
 from ambrose.options import Rejecting
-from ambrose.synthesis.synchronous_gain import MODE as DAMPING
 from ambrose.synthesis.synchronous_gain import (
+    MODE as DAMPING,
     SHARE,
     TURNS,
     clear_parts,

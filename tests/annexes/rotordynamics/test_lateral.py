@@ -17,14 +17,21 @@ from click.testing import CliRunner
 from scipy.optimize import brentq
 
 import ambrose as amb
-from ambrose.annexes.rotordynamics.analysis import Points, judge_sensitivity
-from ambrose.annexes.rotordynamics.analysis import point_rows as rows_of_points
+from ambrose.annexes.rotordynamics.analysis import (
+    Points,
+    judge_sensitivity,
+    point_rows as rows_of_points,
+)
 from ambrose.annexes.rotordynamics.capacity import UNBALANCE, AxisCapacity
 from ambrose.annexes.rotordynamics.command import lateral_command, value_in_words
 from ambrose.annexes.rotordynamics.comparison import lateral_schema
-from ambrose.annexes.rotordynamics.items import Reading, as_it_runs, critical_speeds
-from ambrose.annexes.rotordynamics.items import capacity as rows_of_capacity
-from ambrose.annexes.rotordynamics.items import unbalance as rows_of_unbalance
+from ambrose.annexes.rotordynamics.items import (
+    Reading,
+    as_it_runs,
+    capacity as rows_of_capacity,
+    critical_speeds,
+    unbalance as rows_of_unbalance,
+)
 from ambrose.annexes.rotordynamics.levels import OVERDAMPED, shares
 from ambrose.annexes.rotordynamics.loop import free_bending, shaft_loop
 from ambrose.annexes.rotordynamics.page import (

@@ -12,8 +12,7 @@ from click.testing import CliRunner
 
 import ambrose as amb
 from ambrose import InvalidInput, NumericalFailure
-from ambrose.annexes.sizing import least as guarantee
-from ambrose.annexes.sizing import least as mapped
+from ambrose.annexes.sizing import least as guarantee, least as mapped
 from ambrose.annexes.sizing.least import Least, Size, least, price
 from ambrose.annexes.sizing.page import sizing_page
 from ambrose.cli import main

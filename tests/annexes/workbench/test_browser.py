@@ -429,7 +429,8 @@ def test_every_screen_says_where_one_is_and_its_verdict_first(tour, server, chro
         assert [link.get_attribute("href") for link in where.locator("a").all()] == following
         verdict = page.locator(".facts b" if screen == "live" else ".blocks .panel").first
         assert re.search(
-            r"PASSED|FAILED|IMPLAUSIBLE|levitates|No result yet|The run |\d: ", verdict.text_content()
+            r"PASSED|FAILED|IMPLAUSIBLE|levitates|No result yet|The run |\d: ",
+            verdict.text_content(),
         )
         box = verdict.bounding_box()
         assert box["y"] + box["height"] < 300

@@ -10,8 +10,7 @@ import pytest
 
 pytest.importorskip("starlette", reason="no starlette: install the extra workbench")
 
-from ambrose.annexes.workbench import live as viewers
-from ambrose.annexes.workbench import server
+from ambrose.annexes.workbench import live as viewers, server
 from ambrose.annexes.workbench.live import SAMPLES, Clock, LiveRoom, LiveSession, _Viewer, packed
 from ambrose.annexes.workbench.project import Project, begin
 from ambrose.annexes.workbench.server import build

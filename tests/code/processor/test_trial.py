@@ -14,8 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 from ambrose.cli import main
-from ambrose.code import processor_build as link
-from ambrose.code import processor_build as machines
+from ambrose.code import processor_build as link, processor_build as machines
 from ambrose.code.c.code import generate
 from ambrose.code.processor_build import (
     PROCESSORS,
@@ -28,16 +27,14 @@ from ambrose.code.processor_build import (
     written_below,
 )
 from ambrose.code.processor_trial import check_room, stimulus, try_unit
-from ambrose.code.targets import PROCESSORS as OFFERED
-from ambrose.code.targets import C
+from ambrose.code.targets import PROCESSORS as OFFERED, C
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.controller_file import write_controller
 from example_blocks import rig_block, small_block, small_controller
 from needs import needs
 
 sys.path.append(str(Path(__file__).parents[1] / "c"))
-from test_run import base_of
-from test_run import unit_of as beside_of
+from test_run import base_of, unit_of as beside_of
 
 M7, BIG = "cortex-m7", "cortex-r5-big-endian"
 LAWS = {

@@ -10,9 +10,11 @@ from benchmarks import waveforms
 
 from ambrose.core.response import simulate
 from ambrose.core.statespace import select
-from ambrose.identification.output_error import closed_loop as freedom
-from ambrose.identification.output_error import closed_loop as whole_loop
-from ambrose.identification.output_error import statistics
+from ambrose.identification.output_error import (
+    closed_loop as freedom,
+    closed_loop as whole_loop,
+    statistics,
+)
 from ambrose.identification.output_error.normal_equations import (
     explained_columns,
     jacobian_pieces,

@@ -24,8 +24,7 @@ from ambrose.identification.output_error.magnetic_force import (
     magnets_found,
 )
 from ambrose.identification.output_error.problem import FitOptions, build_experiment
-from ambrose.law.loop import closed_loop as looped
-from ambrose.law.loop import match_controller
+from ambrose.law.loop import closed_loop as looped, match_controller
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint
 from ambrose.model.assemble import assemble

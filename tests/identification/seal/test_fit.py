@@ -15,10 +15,14 @@ from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.identification.frf import find_steps, phasors, steps_of
-from ambrose.identification.seal import by_frequency as stepped_sine
-from ambrose.identification.seal import pipeline as time_domain
-from ambrose.identification.seal.by_pressure import ENTRIES as ORDER
-from ambrose.identification.seal.by_pressure import SealFit, averaged, line, update_seal
+from ambrose.identification.seal import by_frequency as stepped_sine, pipeline as time_domain
+from ambrose.identification.seal.by_pressure import (
+    ENTRIES as ORDER,
+    SealFit,
+    averaged,
+    line,
+    update_seal,
+)
 from ambrose.law.loop import closed_loop
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint, Tolerance

@@ -15,8 +15,7 @@ from ambrose.identification.loop import identify_loop, usual_unknowns
 from ambrose.identification.output_error.loop_model import loop_model, timed
 from ambrose.identification.output_error.problem import FitOptions, build_experiment
 from ambrose.identification.parameters import nominal_values, plant_at
-from ambrose.identification.validation import plausibility as file_priors
-from ambrose.identification.validation import suspects as tried
+from ambrose.identification.validation import plausibility as file_priors, suspects as tried
 from ambrose.record.record import Record
 from linear_rig import DT, E, Y, rig
 

@@ -14,8 +14,7 @@ from ambrose.core.realisation import coprime_factors, injection_gain, observer_c
 from ambrose.core.response import impulse_response, simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, is_stable, select
-from ambrose.identification import frf_spectral as frf
-from ambrose.identification import youla
+from ambrose.identification import frf_spectral as frf, youla
 from ambrose.identification.output_error import closed_loop as whole_loop
 from ambrose.identification.parameters import nominal_values, update_machine
 from ambrose.identification.youla import finite_response, sampled_residual

@@ -12,9 +12,7 @@ from hypothesis import given
 from ambrose.machine.description import Coupling, OperatingPoint
 from ambrose.machine.file.toml import load_machine
 from ambrose.machine.part import Runout, SealTable, Sensor
-from ambrose.model.effects import seal, sensor
-from ambrose.model.effects import stations as coupling
-from ambrose.model.effects import stations as unbalance
+from ambrose.model.effects import seal, sensor, stations as coupling, stations as unbalance
 from ambrose.model.effects.rotor import (
     finite_element_rotor,
     free_modes,

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import BiasPoint, MagnetGeometry, MagneticBearing

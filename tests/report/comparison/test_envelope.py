@@ -18,9 +18,12 @@ from ambrose.machine.description import OperatingPoint, Operation
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
 from ambrose.record.record import Record
-from ambrose.report import comparison as comparison_figures
-from ambrose.report import comparison_tables, theme
-from ambrose.report import page as document
+from ambrose.report import (
+    comparison as comparison_figures,
+    comparison_tables,
+    page as document,
+    theme,
+)
 from ambrose.report.comparison import comparison_page
 from ambrose.report.comparison_tables import decision, envelope_section, ratio_text, shade_of, share
 from ambrose.report.page import Cell, Table

@@ -21,10 +21,13 @@ from ambrose.law.design_problem import design_plant
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.uncertainty import reduce
-from ambrose.report import comparison as comparison_figures
-from ambrose.report import comparison_tables, theme
-from ambrose.report import page as document
-from ambrose.report import theme as units
+from ambrose.report import (
+    comparison as comparison_figures,
+    comparison_tables,
+    page as document,
+    theme,
+    theme as units,
+)
 from ambrose.report.comparison import comparison_page
 from ambrose.report.figures.bode import Panel, panel_figure
 from ambrose.report.page import Cell, Page, Section, Table

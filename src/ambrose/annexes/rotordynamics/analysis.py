@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ambrose.annexes.rotordynamics import items as rows
-from ambrose.annexes.rotordynamics import standard
+from ambrose.annexes.rotordynamics import items as rows, standard
 from ambrose.annexes.rotordynamics.capacity import (
     binding,
     capacities,

@@ -36,8 +36,7 @@ from ambrose.model.assemble import (
     state_scales,
 )
 from ambrose.model.effect import reactions
-from ambrose.model.effects import amplifier, seal_rational, sensor
-from ambrose.model.effects import seal as seals
+from ambrose.model.effects import amplifier, seal as seals, seal_rational, sensor
 from ambrose.model.effects.rotor import finite_element_rotor, free_modes
 from ambrose.model.plant import Plant, Port
 from ambrose.model.static_load import magnet_coefficients

@@ -116,8 +116,7 @@ def monitor(
     the machine file's tolerances, contradicts the pressure given, or nothing can be said.
     """
     from ambrose.annexes.scheduled.monitor import monitor_table
-    from ambrose.annexes.scheduled.seal_watch import monitor as watched
-    from ambrose.annexes.scheduled.seal_watch import seal_monitor
+    from ambrose.annexes.scheduled.seal_watch import monitor as watched, seal_monitor
     from ambrose.machine.ordinary_file import write_text
     from ambrose.record.files import read_record
 

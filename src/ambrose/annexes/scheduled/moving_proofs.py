@@ -30,8 +30,7 @@ from ambrose.core.checks import (
     invalid,
 )
 from ambrose.core.norms import hinf_norm
-from ambrose.core.statespace import StateSpace, is_stable, select
-from ambrose.core.statespace import balance_matrix as balance
+from ambrose.core.statespace import StateSpace, balance_matrix as balance, is_stable, select
 from ambrose.judge.checks import Checks, Progress, information
 from ambrose.law.law import PRESSURE, SPEED, Law, LawLike, law_of
 from ambrose.law.loop import Timing, running_law

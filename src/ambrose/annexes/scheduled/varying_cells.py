@@ -33,8 +33,7 @@ from ambrose.annexes.scheduled.varying_proof import Proof
 from ambrose.core.checks import NumericalFailure
 from ambrose.core.matrix_inequalities import Inequality, MatrixVariable, Term, minimise, svec
 from ambrose.core.norms import hinf_norm
-from ambrose.core.statespace import StateSpace, is_stable
-from ambrose.core.statespace import balance_matrix as balance
+from ambrose.core.statespace import StateSpace, balance_matrix as balance, is_stable
 
 # The proof for a loop whose matrices follow what is, p, and what is told of it: plant and
 # controller, scheduled or fixed.

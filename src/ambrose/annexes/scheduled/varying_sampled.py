@@ -34,8 +34,7 @@ from ambrose.annexes.scheduled.varying_cells import accurate_product
 from ambrose.annexes.scheduled.varying_proof import Proof
 from ambrose.core.checks import NumericalFailure
 from ambrose.core.norms import hinf_norm
-from ambrose.core.statespace import StateSpace, is_stable
-from ambrose.core.statespace import balance_matrix as balance
+from ambrose.core.statespace import StateSpace, balance_matrix as balance, is_stable
 
 # of gamma, above the largest of the loops at rest that decay less
 _ROOMS = (3e-3, 1e-2, 3e-2, 0.1, 0.3)

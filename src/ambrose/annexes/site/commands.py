@@ -679,8 +679,7 @@ def retune(
     proved and written as code, and the change and the way back run on the virtual rig. Exit status
     1: stopped at the first step that fails; finished files stay in the folder.
     """
-    from ambrose.annexes.site.retuning import PAGE
-    from ambrose.annexes.site.retuning import retune as run
+    from ambrose.annexes.site.retuning import PAGE, retune as run
 
     description = load(machine)
     law = load_controller(controller, description)

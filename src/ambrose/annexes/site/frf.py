@@ -44,8 +44,7 @@ from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.record.files import read_record
 from ambrose.record.record import Record
-from ambrose.record.response import Path as MeasuredPath
-from ambrose.record.response import Response
+from ambrose.record.response import Path as MeasuredPath, Response
 
 _UNSURE = 0.3  # 95 % radius over the largest response, from which a line tells little
 _FEW = 0.1  # of the lines that may do so without a word

@@ -33,8 +33,7 @@ from ambrose.law.law import law_of
 from ambrose.law.loop import timing_in_words
 from ambrose.machine.criteria import SENSITIVITY
 from ambrose.model.effects import magnet
-from ambrose.report import tables, theme
-from ambrose.report import theme as units
+from ambrose.report import tables, theme, theme as units
 from ambrose.report.figures.bode import Panel, nyquist, panel_figure, panels
 from ambrose.report.figures.curves import figure
 from ambrose.report.figures.seals import response_figure

@@ -16,8 +16,7 @@ import numpy as np
 from ambrose.annexes.site.acceptance import Acceptance, accept
 from ambrose.api import controller_of, machine_of
 from ambrose.chain.stages import resume_or_design
-from ambrose.code.pipeline import Delivery
-from ambrose.code.pipeline import export as write_code
+from ambrose.code.pipeline import Delivery, export as write_code
 from ambrose.code.sampled import checksum_of
 from ambrose.code.targets import C
 from ambrose.core.checks import (

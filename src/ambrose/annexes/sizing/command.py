@@ -142,8 +142,7 @@ def _map(
     machine_out: Path | None,
     as_json: bool,
 ) -> None:
-    from ambrose.annexes.sizing.least import AREAS, BIASES
-    from ambrose.annexes.sizing.least import size as sized
+    from ambrose.annexes.sizing.least import AREAS, BIASES, size as sized
     from ambrose.judge.verdict import verify_controller
     from ambrose.machine.file.update import save_machine
 

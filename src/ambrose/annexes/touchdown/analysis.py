@@ -15,10 +15,10 @@ from ambrose.annexes.touchdown.campaign import (
     Campaign,
     Row,
     axial_drops,
+    drops as many_drops,
     judge_landing,
     thrust_rows,
 )
-from ambrose.annexes.touchdown.campaign import drops as many_drops
 from ambrose.annexes.touchdown.drop import (
     Drop,
     Fall,

@@ -25,8 +25,7 @@ from ambrose.machine.attachment import attached
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import attached_rotor, modes_of
-from ambrose.model.effects import magnet
-from ambrose.model.effects import touchdown as contact_law
+from ambrose.model.effects import magnet, touchdown as contact_law
 from ambrose.model.effects.rotor import (
     STANDARD_GRAVITY,
     displacement_row,

@@ -7,8 +7,15 @@ from typing import Any
 import numpy as np
 
 from ambrose.annexes.touchdown.analysis import HEADS, WHIP_MODEL, Landing, WhipMap
-from ambrose.annexes.touchdown.campaign import FRICTION, MOUNT, SPEED, WHIRLS, AxialDrop, Campaign
-from ambrose.annexes.touchdown.campaign import Row as Cost
+from ambrose.annexes.touchdown.campaign import (
+    FRICTION,
+    MOUNT,
+    SPEED,
+    WHIRLS,
+    AxialDrop,
+    Campaign,
+    Row as Cost,
+)
 from ambrose.report import theme
 from ambrose.report.figures.motion import add_controls
 from ambrose.report.figures.rotor_drawing import machine_drawing

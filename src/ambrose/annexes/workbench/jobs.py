@@ -22,8 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from ambrose.annexes.workbench import blocks
-from ambrose.annexes.workbench.project import KINDS as FOLDERS
-from ambrose.annexes.workbench.project import MACHINE, Project
+from ambrose.annexes.workbench.project import KINDS as FOLDERS, MACHINE, Project
 from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.machine.ordinary_file import make_folder, parse_json, write_json
 

@@ -28,8 +28,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from ambrose.annexes.workbench import blocks
-from ambrose.annexes.workbench import project as uploads
+from ambrose.annexes.workbench import blocks, project as uploads
 from ambrose.annexes.workbench.blocks import Refusal
 from ambrose.annexes.workbench.desk import Desk
 from ambrose.annexes.workbench.jobs import Jobs

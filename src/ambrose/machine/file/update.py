@@ -19,8 +19,7 @@ from tomlkit.items import AoT, Array, InlineTable, Item, String, Table
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.machine.attachment import attachments
 from ambrose.machine.file.annotated import in_everyday_unit
-from ambrose.machine.file.tables import Table as Model
-from ambrose.machine.file.tables import ToleranceTable, machine_file, table_below
+from ambrose.machine.file.tables import Table as Model, ToleranceTable, machine_file, table_below
 from ambrose.machine.file.toml import (
     dumps_machine,
     loads_machine,

@@ -36,13 +36,21 @@ from ambrose.machine.part import (
     constant_under_pressure,
 )
 from ambrose.machine.thrust import CORES, ThrustBearing, ThrustStator
-from ambrose.machine.units import complaint, listed, number, shown, suggestion
-from ambrose.machine.units import number as measure
+from ambrose.machine.units import complaint, listed, number, number as measure, shown, suggestion
 from ambrose.machine.validation import parts
-from ambrose.machine.validation.controller import chain, controller, synchronous
-from ambrose.machine.validation.controller import controller as of_controller
-from ambrose.machine.validation.parts import JOINT, coast_down, not_positive, shaft_place
-from ambrose.machine.validation.parts import amplifier as of_amplifier
+from ambrose.machine.validation.controller import (
+    chain,
+    controller,
+    controller as of_controller,
+    synchronous,
+)
+from ambrose.machine.validation.parts import (
+    JOINT,
+    amplifier as of_amplifier,
+    coast_down,
+    not_positive,
+    shaft_place,
+)
 from ambrose.machine.validation.ranges import impossible
 
 # What stands around the rotor must leave it room: magnets, collar, seals and touchdown bearings

@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.realisation import invariant_zeros
-from ambrose.core.statespace import as_statespace
-from ambrose.core.statespace import poles as poles_of
+from ambrose.core.statespace import as_statespace, poles as poles_of
 from ambrose.judge.checks import Curve
 from ambrose.report import theme
 

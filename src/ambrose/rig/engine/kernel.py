@@ -31,6 +31,7 @@ from ambrose.rig.engine.products import (
     effective_current,
     element_forces,
     indicated,
+    lag as sensor_lag,
     magnet_force,
     merged,
     mount_force,
@@ -42,7 +43,6 @@ from ambrose.rig.engine.products import (
     stops,
     turning_force,
 )
-from ambrose.rig.engine.products import lag as sensor_lag
 
 if TYPE_CHECKING:
     from ambrose.rig.engine.controller import SampledLaw

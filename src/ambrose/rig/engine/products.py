@@ -30,8 +30,15 @@ from numba.extending import intrinsic
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.ordinary_file import claimed
-from ambrose.model.effects import amplifier, magnet, seal, seal_rational, sensor, touchdown
-from ambrose.model.effects import stations as unbalance
+from ambrose.model.effects import (
+    amplifier,
+    magnet,
+    seal,
+    seal_rational,
+    sensor,
+    stations as unbalance,
+    touchdown,
+)
 
 # Where the compiled rig is kept between runs.
 #
@@ -238,8 +245,7 @@ def products() -> tuple[Any, Any]:
 def _generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
     """The loops over blocks and fours of columns."""
     from llvmlite import ir
-    from numba.core import cgutils as untyped
-    from numba.core import types
+    from numba.core import cgutils as untyped, types
 
     cgutils: Any = untyped
 

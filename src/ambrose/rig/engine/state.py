@@ -27,10 +27,8 @@ from ambrose.model.effects import (
     seal,
     seal_rational,
     sensor,
-    touchdown,
-)
-from ambrose.model.effects import (
     stations as unbalance,
+    touchdown,
 )
 from ambrose.model.effects.rotor import (
     STANDARD_GRAVITY,
@@ -367,14 +365,10 @@ def compiled() -> tuple[Any, Any]:
     """
     from ambrose.rig.engine import (
         axial_kernel,
-        exponential,
-        products,
-    )
-    from ambrose.rig.engine import (
         controller as sampled,
-    )
-    from ambrose.rig.engine import kernel as rig_kernel
-    from ambrose.rig.engine import (
+        exponential,
+        kernel as rig_kernel,
+        products,
         products as inlined,
     )
 

@@ -20,8 +20,7 @@ from ambrose.core.sampling import c2d, delayed, hold
 from ambrose.core.statespace import StateSpace, balance_system, select
 from ambrose.judge.measured import MEASURED
 from ambrose.law.loop import Timing
-from ambrose.machine.criteria import CLEARANCE, SENSITIVITY, demand
-from ambrose.machine.criteria import CURRENT_PULSE as PULSE
+from ambrose.machine.criteria import CLEARANCE, CURRENT_PULSE as PULSE, SENSITIVITY, demand
 from ambrose.machine.machine import Machine
 from ambrose.model.effects.rotor import finite_element_rotor, free_modes
 from ambrose.model.plant import Plant, highest_verified, top_speed

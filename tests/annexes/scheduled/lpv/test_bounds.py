@@ -9,8 +9,7 @@ import pytest
 
 from ambrose import ComplexBlock, GeneralizedPlant, StateSpace, hinf_synthesis, mu_synthesis
 from ambrose.annexes.scheduled.lpv.synthesis import lpv_synthesis
-from ambrose.core import hinf_lmi as lower_bound
-from ambrose.core import hinf_riccati as riccati
+from ambrose.core import hinf_lmi as lower_bound, hinf_riccati as riccati
 from ambrose.core.checks import AmbroseError
 from ambrose.core.lft import lft
 from ambrose.synthesis import hinf

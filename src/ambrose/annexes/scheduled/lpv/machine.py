@@ -16,8 +16,7 @@ from ambrose.annexes.scheduled.lpv.synthesis import PlantAt, lpv_synthesis
 from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import GeneralizedPlant, design_grid, lft
-from ambrose.core.scheduled import ScheduledSystem, check_axes, grid_points
-from ambrose.core.scheduled import corners as around
+from ambrose.core.scheduled import ScheduledSystem, check_axes, corners as around, grid_points
 from ambrose.core.statespace import StateSpace, is_stable, select
 from ambrose.core.worst_case_loop import box_loop, corners, default_grid, gains
 from ambrose.judge.result import Synthesis, certify_on_full_plant

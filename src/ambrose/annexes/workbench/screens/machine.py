@@ -15,9 +15,7 @@ from typing import Any
 
 import tomlkit
 
-from ambrose.annexes.workbench import blocks
-from ambrose.annexes.workbench import blocks as pages
-from ambrose.annexes.workbench import project as beginning
+from ambrose.annexes.workbench import blocks, blocks as pages, project as beginning
 from ambrose.annexes.workbench.blocks import Block, Refusal, texts, width, word
 from ambrose.annexes.workbench.project import MACHINE, Project
 from ambrose.annexes.workbench.screens import Answer, Screen

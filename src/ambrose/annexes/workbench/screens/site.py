@@ -7,8 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ambrose.annexes.workbench import blocks
-from ambrose.annexes.workbench import project as beginning
+from ambrose.annexes.workbench import blocks, project as beginning
 from ambrose.annexes.workbench.blocks import Refusal
 from ambrose.annexes.workbench.project import MACHINE, Project
 from ambrose.annexes.workbench.screens import Screen
