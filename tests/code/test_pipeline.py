@@ -251,7 +251,7 @@ def test_limits_must_be_known(tmp_path):
     assert bundled_machine(file) is None
     with pytest.raises(
         InvalidInput,
-        match="the error limit is unknown, but must be given in m; name the machine file, --machine",
+        match="the error limit is unknown, but must be given in m; state it, or name the machine file",
     ):
         export(file, tmp_path / "code", to="c")
     done = export(file, tmp_path / "code", to="c", error_limit=1e-3, current_limit=2.0, force=True)
