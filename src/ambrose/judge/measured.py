@@ -533,11 +533,7 @@ def check_measured(
     response = usable(response, axes, law.dt)
     if len(response.omega) < _FEW:
         raise invalid("the number of lines", len(response.omega), f"at least {_FEW}", "sweep more")
-    if ran is None and not response.kind("G"):
-        raise InvalidInput(
-            "the responses are those of a closed loop, which tell the plant only with the "
-            "controller that ran; give it (--running)"
-        )
+    _refuse_unknown_loop(response, running)
     model = _Model(plant, controller, running, timing)
     at, run_at = controller_at(law, len(axes)), controller_at(ran, len(axes))
     packed = np.concatenate([_poles_of(law), _poles_of(ran)])
@@ -585,6 +581,14 @@ def check_measured(
     return replace(checks, notes=_notes(lines, judged, valid))
 
 
+def _refuse_unknown_loop(response: Response, running: LawLike | None) -> None:
+    if running is None and not response.kind("G"):
+        raise InvalidInput(
+            "the responses are those of a closed loop, which tell the plant only with the "
+            "controller that ran; give it (--running)"
+        )
+
+
 def measured_plant(
     plant: Plant, response: Response, running: LawLike | None, timing: Timing | None
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -592,6 +596,7 @@ def measured_plant(
     and without delay. running: the controller that ran, on which what is measured is judged first.
     Raises InvalidInput, as ``check_measured``.
     """
+    _refuse_unknown_loop(response, running)
     if running is not None:
         check_measured(plant, response, running, running, timing)
     law = None if running is None else running_law(running, plant, timing)

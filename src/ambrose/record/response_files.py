@@ -189,7 +189,8 @@ def read_response(
             columns = read_map(columns)
         return _mapped(path, columns)
     except InvalidInput as error:
-        raise InvalidInput(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
+        words = str(error)
+        raise InvalidInput(words if words.startswith(f"{path}") else f"{path}: {words}") from error
     except DAMAGE as error:
         raise InvalidInput(
             f"{path}: it cannot be read ({error}); it is damaged, truncated or of another kind"

@@ -179,3 +179,6 @@ def test_a_running_controller_needs_what_was_measured(tmp_path):
         amb.design(machine(), "tuned", rate=RATE, running=ran)
     with pytest.raises(InvalidInput, match=r"sweep\.json"):
         amb.design(machine(), "tuned", rate=RATE, running=ran, measured=["sweep.json"])
+    closed = str(write_response(swept(), tmp_path / "closed.json"))
+    with pytest.raises(InvalidInput, match="the controller that ran; give it"):
+        amb.design(machine(), "tuned", rate=RATE, measured=[closed])
