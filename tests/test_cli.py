@@ -419,7 +419,6 @@ BAD = {
         ["synthesize", RIG, "--point", "mars"],
         "nominal pressure",
     ),
-    "no controller given": (["verify", RIG], "--controller"),
     "pressure rate in kg": (
         ["verify", RIG, "--controller", "{controller}", "--pressure-rate", "2 kg"],
         "20 bar/s",
@@ -511,7 +510,7 @@ def test_continuous_figures_beside_those_of_the_loop_that_runs_are_explained():
 
     far = {"sampled_sensitivity_peak": 2.54, "continuous sensitivity_peak": 356.7}
     (line,) = _beside(far)
-    assert "without its sampling, hold and delay" in line and "140 times off" in line
+    assert "without sampling, hold and delay" in line and "140 times off" in line
     (line,) = _beside({**far, "continuous sensitivity_peak": 2.6})
     assert "times off" not in line
     assert _beside({"sensitivity_peak": 2.6}) == []
@@ -554,5 +553,7 @@ def test_a_check_loads_what_it_needs_and_no_more(machine):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     loaded = set(done.stdout.split())
-    assert not loaded & set(_UNUSED)
+    # five axes: the rational model of a solid core is fitted
+    fitted = {"scipy.optimize"} if "five-axes" in machine else set()
+    assert not loaded & set(_UNUSED) - fitted
     assert len([name for name in loaded if name.startswith("ambrose")]) < 145

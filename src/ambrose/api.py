@@ -432,6 +432,7 @@ def _known_laws(
     InvalidInput.
     """
     from ambrose.judge.result import machine_pid
+    from ambrose.law.law import AllAxesProgram
     from ambrose.law.loop import check_side
     from ambrose.machine.machine import THRUST
     from ambrose.model.plant import Plant as PlantType
@@ -444,6 +445,8 @@ def _known_laws(
     others = {} if axes is not None or place is not machine else machine.groups
     along = others.get(THRUST)
     if along is None or along is own or law.thrust is not None or along.reference is None:
+        return law, None
+    if isinstance(law.program, AllAxesProgram):  # it has the thrust axis
         return law, None
     check_side(law.inputs, machine)
     return law, machine_pid(along)

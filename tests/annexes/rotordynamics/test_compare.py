@@ -134,7 +134,7 @@ def test_where_no_row_has_a_partner_nothing_was_compared(analysis, tmp_path):
     assert not found.compared and found.passed is False
     done = CliRunner().invoke(main, ["compare", str(mine), str(theirs)])
     assert done.exit_code == 1
-    assert "nothing was compared: none of the 2 rows has a partner" in done.output
+    assert "no row was compared: none of the 2 rows has a partner" in done.output
     assert "largest difference" not in done.output
 
 

@@ -315,7 +315,7 @@ def test_the_terminal_names_what_was_not_judged(tmp_path, monkeypatch):
     assert "fails: Clearances" in named and "not checked: Torsional analysis" in named
     (border,) = [text for text in told if "stability threshold, Q0 (" in text]
     assert (
-        border.startswith("not checked: Level I: ") and " values, refined): not judged: " in border
+        border.startswith("not checked: Level I: ") and " values, refined): not checked: " in border
     )
 
 
@@ -391,7 +391,7 @@ def test_peaks_far_below_the_vibration_limit_are_one_row_of_information():
     tenth = [(at, height / 50, width) for at, height, width in (main, (180.0, 5e-7, 60.0))]
     one, small = rows_of_peaks(*tenth)
     assert one.limit is not None and "critically damped" not in one.title
-    assert small.passed is None and small.limit is None and "not judged" in small.note
+    assert small.passed is None and small.limit is None and "not checked" in small.note
     # a sharp one counts where the shaft moves more elsewhere: its node is at the probes
     sharp = [(at, height / 50, width) for at, height, width in (main, (980.0, 5e-7, 6.0))]
     assert [row.limit is None for row in rows_of_peaks(*sharp)] == [False, True]

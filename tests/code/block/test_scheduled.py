@@ -282,7 +282,7 @@ def test_settings_that_mean_nothing(settings, message):
 def test_shapes_are_checked(block):
     with pytest.raises(InvalidInput, match="shape of errors"):
         run_of(block, np.zeros((3, 1)), np.zeros(3))
-    with pytest.raises(InvalidInput, match=r"shape of what is told \(speed\)"):
+    with pytest.raises(InvalidInput, match=r"shape of the measured parameters \(speed\)"):
         run_of(block, np.zeros((3, 2)), np.zeros(4))
 
 

@@ -202,7 +202,7 @@ def test_what_cannot_be_is_refused(tmp_path):
         block_of(both_schedule(), told_limit=(None, 1e5))
     with pytest.raises(
         InvalidInput,
-        match=r"shape of what is told \(speed, pressure\) is \(3,\), but must be \(3, 2\)",
+        match=r"shape of the measured parameters \(speed, pressure\) is \(3,\), but must be \(3, 2\)",
     ):
         run_of(block, np.zeros((3, 2)), np.zeros(3))
     axes = (np.array([100.0, 100.0 + 1e-6]), np.array(PRESSURES))

@@ -322,7 +322,7 @@ def replace_dt(system):
 def test_what_cannot_be_estimated_is_refused():
     a = np.random.default_rng(0).standard_normal(4000)
     same = record(u_A=a, u_B=a, e_A=a, y_A=filtered(a), y_B=np.zeros(4000))
-    with pytest.raises(InvalidInput, match=r"alike at .*parallel and tilt"):
+    with pytest.raises(InvalidInput, match=r"are the same at .*parallel and tilt"):
         frf.h1(same, ["u_A", "u_B"], ["y_A"])
     with pytest.raises(InvalidInput, match="never changes"):
         frf.h1(same, "y_B", "y_A")

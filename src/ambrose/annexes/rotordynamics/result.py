@@ -69,7 +69,7 @@ class Item:
     @property
     def left_out(self) -> bool:
         """Whether no verdict was given of what a reviewer looks for, as the note says."""
-        said = ("not covered", "not done", "not judged")
+        said = ("not covered", "not done", "not checked", "not judged")
         return self.passed is None and any(words in self.note for words in said)
 
     def to_dict(self) -> dict[str, Any]:

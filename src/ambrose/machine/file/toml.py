@@ -114,7 +114,8 @@ def _shaft(
         if material in materials:
             stated["material"] = materials[material]
         elif material is not None:
-            remedy = f"{suggestion(material, materials)}; or add [material.{quoted(material)}]"
+            key = material if material.isidentifier() else quoted(material)
+            remedy = f"{suggestion(material, materials)}; or add [material.{key}]"
             complaints.append(f'[[shaft]] {i + 1}: material "{material}" is unknown; {remedy}')
         sections.append(ShaftSection(**{"start": end, **stated}))
         end = sections[-1].start + sections[-1].length
