@@ -85,7 +85,8 @@ export function short(value, unit) {
   return `${Number((value / 10 ** power).toPrecision(3))} ${SIGNS[power]}${unit}`.trim();
 }
 
-// values a step apart from 0 on; axes: {x: [low, high], y: [low, high], log: whether y is, names, units, marks}
+// values a step apart from 0 on; axes: {x: [low, high], y: [low, high], log: whether y is, names, units,
+// marks}
 export function curve(element, values, step, axes) {
   const { g, width, height } = begin(element);
   const [left, right, top, bottom] = [LEFT, RIGHT, 8, 34];

@@ -76,7 +76,7 @@ export function scope(rig) {
     g.globalCompositeOperation = "source-over";
     g.fillStyle = ink.line;
     for (let p = LEFT; p < width - RIGHT; p += 2) {
-      const line = (at) => Math.round(((at - LEFT) / (width - LEFT - RIGHT)) * (amplitudes.length - 1)); // as above
+      const line = (at) => Math.round(((at - LEFT) / (width - LEFT - RIGHT)) * (amplitudes.length - 1));
       const [from, to] = [line(p), Math.max(line(p + 2), line(p) + 1)];
       const level = 1 + Math.log10(Math.max(extent(amplitudes.subarray(from, to))[1], 1e-30) / peak) / 3;
       g.globalAlpha = Math.min(Math.max(level, 0), 1);
