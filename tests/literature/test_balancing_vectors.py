@@ -148,9 +148,8 @@ def test_the_plane_to_leave_out_is_named_with_the_condition():
     assert (whole.leave_out, alike.leave_out, less.leave_out) == ((), ("middle",), ())
     assert alike.condition > 25
     assert max(whole.condition, less.condition) < 8
-    assert (
-        "middle poorly distinguished from the other planes (condition 25.7): leave out"
-        in str(alike)
+    assert "middle poorly distinguished from the other planes (condition 25.7): leave out" in str(
+        alike
     )
     # what it is left out for: corrections of 5 in two planes, against one another
     assert alike.sizes[1:].min() > 4

@@ -121,7 +121,9 @@ def test_instruments_need_no_noise_model():
 def test_a_loop_that_nothing_drives_is_refused(change, tmp_path):
     time, y, u, _ = levitate(kind="none", **change)
     path = table(tmp_path / "quiet.txt", time, y[:, 0], u[:, 0])
-    with pytest.raises(InvalidInput, match=r"(drives the loop|no excitation).*-1/K.*record them too"):
+    with pytest.raises(
+        InvalidInput, match=r"(drives the loop|no excitation).*-1/K.*record them too"
+    ):
         amb.identify_generic(path)
 
 
