@@ -437,3 +437,15 @@ def test_magnets_of_the_fleet_lie_within_their_intervals(name):
     for case, errors in rows.items():
         print(name, case, np.mean(np.abs(errors) < 1.96), np.abs(errors).max())
     assert np.mean(np.abs(np.concatenate([*rows.values()])) < 1.96) > 0.9
+
+
+@pytest.mark.parametrize("cell", ["1e308", "-1e308", "1e40"])
+@pytest.mark.parametrize("column", [0, 1])
+def test_a_number_beyond_any_machine_is_refused(cell, column, tmp_path):
+    """It overflowed on the way to rad/s, or in what was made of it."""
+    lines = write_response(measured("T"), tmp_path / "r.csv").read_text().splitlines()
+    cells = lines[-1].split(",")
+    cells[column] = cell
+    (tmp_path / "r.csv").write_text("\n".join([*lines[:-1], ",".join(cells)]))
+    done = CliRunner().invoke(main, ["record", "check", str(tmp_path / "r.csv"), MACHINE])
+    assert done.exit_code == 2 and "ambrose: " in done.stderr, done.output

@@ -68,6 +68,9 @@ class Path:
         return f"{self.quantity} {axes}" + (f" {CURRENT}" if self.at == CURRENT else "")
 
 
+_FASTEST = 1e8  # rad/s; frequencies of machine files end at 1 MHz
+
+
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Response(Presented):
     """Frequency responses measured at one operating point.
@@ -95,6 +98,11 @@ class Response(Presented):
             )
         if not (np.isfinite(self.omega).all() and self.omega[0] > 0):
             raise InvalidInput("a frequency is zero or no number; leave that line out")
+        if self.omega[-1] > _FASTEST:
+            raise InvalidInput(
+                f"the last frequency is {self.omega[-1] / (2 * np.pi):.3g} Hz, more than any loop "
+                "of a bearing has; correct its unit, or leave that line out"
+            )
         steps = np.diff(self.omega)
         if not (steps > 0).all():
             k = int(np.argmin(steps > 0)) + 1

@@ -325,8 +325,8 @@ def _mapped(path: File, columns: ResponseMap) -> Response:
             raise InvalidInput(
                 "the datasets are over different frequencies; read each as separate responses"
             )
-    omega = _rates(frequency, data[frequency.source])
     with np.errstate(over="ignore", invalid="ignore"):  # refused as what is not finite
+        omega = _rates(frequency, data[frequency.source])
         paths = tuple(_path(item, data, omega) for item in columns.paths)
     return Response(
         columns.machine, omega, paths, columns.point, columns.date, columns.sample_rate_hz
