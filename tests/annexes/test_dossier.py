@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner
@@ -113,3 +114,22 @@ def test_a_rotor_model_is_converted_into_the_folder(place, tmp_path):
     assert done.exit_code == 2 and "the list of the controller's inputs" in done.stderr
     assert "its machine file is" in done.stderr
     assert amb.load_machine(tmp_path / "out" / "machine.toml").operation.speed_range[1] > 900
+
+
+def test_an_analysis_that_is_refused_does_not_pass(place, monkeypatch):
+    """A lateral analysis that could not be made left a green page with a sentence below."""
+    from ambrose.annexes.dossier import review as module
+    from ambrose.core.checks import InvalidInput
+
+    folder, _ = place
+
+    def refuse(*words, **options):
+        raise InvalidInput("no lateral analysis of this; take another")
+
+    monkeypatch.setattr("ambrose.registry.resolve", lambda name: refuse)
+    result = module.review(amb.load_machine(folder / "rotor.toml"), folder / "pid.json")
+    green = replace(result, doubts=(), verification=SimpleNamespace(passed=True))
+    assert result.refused == ("lateral",) and not green.passed
+    assert "no lateral analysis" in result.verdict
+    assert any("take another" in text for text in result.not_judged)
+    assert not replace(green, refused=("landing",)).passed and replace(green, refused=()).passed

@@ -54,6 +54,7 @@ class Review:
     doubts: tuple[str, ...]
     remarks: tuple[str, ...]
     not_judged: tuple[str, ...]
+    refused: tuple[str, ...] = ()
     sources: tuple[tuple[str, str], ...] = ()
 
     @property
@@ -89,9 +90,10 @@ class Review:
 
     @property
     def passed(self) -> bool:
-        """Whether every analysis that was made passes."""
+        """Whether every analysis passes, and none that was to be made was refused."""
         sides = [getattr(item, "passed", None) for item in (self.lateral, self.landing)]
-        return self.verification.passed and False not in sides and not self.doubts
+        met = self.verification.passed and False not in sides
+        return met and not self.doubts and not self.refused
 
     @property
     def verdict(self) -> str:
@@ -100,7 +102,9 @@ class Review:
         beside = f" {left} {'point was' if left == 1 else 'points were'} not judged." * (left > 0)
         if self.passed:
             return f"All {self.judged} requirements that were judged are met.{beside}"
-        what = dict.fromkeys(f"{row[1]} ({row[0]})" for row in lines) or ["not everything covered"]
+        what = dict.fromkeys(f"{row[1]} ({row[0]})" for row in lines)
+        what |= dict.fromkeys(f"no {name} analysis" for name in self.refused)
+        what = what or {"not everything is covered": None}
         some = "; ".join([*what][:3]) + f" and {len(what) - 3} more" * (len(what) > 3)
         return f"Not to be released: {some}.{beside}"
 
@@ -145,17 +149,20 @@ def review(
     law = api.controller_of(controller, described)
     known = facts(described)
     result = api.verify(described, law, axial=axial, progress=progress)
-    left = unchecked(result)
+    left, refused = unchecked(result), list[str]()
 
     def beside(name: str, *words: Any, **options: Any) -> Any:
-        """A public function of another annex, where that is there and does not refuse."""
+        """A public function of another annex; None, and why, where it is not there or refuses."""
         place = registry.registered("public").get(name)
+        why = "this installation has none"
         try:
-            function = registry.resolve(f"{place}:{name}") if place else None
-            return None if function is None else function(*words, progress=progress, **options)
+            if place:
+                return registry.resolve(f"{place}:{name}")(*words, progress=progress, **options)
         except AmbroseError as error:
-            left.append(f"No {name} analysis: {error}.")
-            return None
+            why = str(error)
+        left.append(f"No {name} analysis: {why}.")
+        refused.append(name)
+        return None
 
     lateral = beside("lateral", described, law)
     left += [f"{item.title}: {item.note}" for item in getattr(lateral, "items", ()) if _open(item)]
@@ -164,7 +171,8 @@ def review(
     if not stated:
         left.append("Landing: the machine file has no [bearing.touchdown.limits].")
     doubts, remarks = (tuple(known[key]) for key in ("doubts", "remarks"))
-    return Review(described, result, lateral, landing, doubts, remarks, tuple(dict.fromkeys(left)))
+    not_judged = tuple(dict.fromkeys(left))
+    return Review(described, result, lateral, landing, doubts, remarks, not_judged, tuple(refused))
 
 
 def _open(item: Any) -> bool:
@@ -302,5 +310,6 @@ def review_command(
             print_table("not met", columns, rows, ["red"] * len(rows))
         for sentence in result.not_judged:
             say(f"Not judged: {sentence}")
-        say(f"Page to sign: {output / 'review.html'}; behind it verify.html, lateral.html.")
+        behind = ", ".join(f"{name}.html" for name, _ in pages_of(result))
+        say(f"Page to sign: {output / 'review.html'}; the pages behind it: {behind}.")
     sys.exit(0 if result.passed else 1)
