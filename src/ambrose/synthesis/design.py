@@ -160,7 +160,8 @@ def _with_unmet(plant: Plant, result: Synthesis, timing: Timing | None) -> Synth
                 worst[check.name] = ratio, checks.label, check
     if not worst:
         return result
-    margins = {**result.certificate.margins, "unmet_checks": float(len(worst))}
+    margins = dict(result.certificate.margins)
+    margins["unmet_checks"] = margins.get("unmet_checks", 0.0) + len(worst)  # measured ones before
     return replace(
         result,
         certificate=replace(result.certificate, margins=margins),

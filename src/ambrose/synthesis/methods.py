@@ -585,7 +585,7 @@ def as_measured(
     timing: Timing | None,
 ) -> Synthesis:
     """A synthesis judged on the plant that was measured at an operating point as well: what fails
-    there is a note; unstable there is unstable.
+    there counts as missed, with a note each; unstable there is unstable.
     """
     from ambrose.judge.measured import check_measured
     from ambrose.judge.result import Status
@@ -598,7 +598,10 @@ def as_measured(
             margins["measured_sensitivity_peak"] = max(
                 check.value, margins.get("measured_sensitivity_peak", 0.0)
             )
-    for check in checks.failed:
+    failed = list(checks.failed)
+    if failed:
+        margins["unmet_checks"] = margins.get("unmet_checks", 0.0) + len(failed)
+    for check in failed:
         limit = "" if check.limit is None else f", not {check.relation} {check.limit:.4g}"
         notes.append(f"{checks.label}: {check.title} {check.value:.4g}{limit}; {check.detail}")
     certificate = replace(result.certificate, margins=margins)
