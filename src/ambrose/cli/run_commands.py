@@ -29,6 +29,7 @@ from ambrose.terminal import (
     progress_shown,
     say,
     say_json,
+    say_verdict,
 )
 
 if TYPE_CHECKING:
@@ -234,17 +235,21 @@ def study_command(machine: str, output: Path | None, everything: bool, as_json: 
                     (candidate.name, label, "left out: its schedule does not cover this point")
                 )
                 marks.append("red")
+        words = decision(result.candidates).text
+        if result.axial is not None:
+            words += f" Along the shaft: {decision(along).text}"
+        say_verdict(words, in_full=words)
         print_table(
             f"{description.name}: {len(result.candidates)} controllers",
             ("controller", "at", "verdict"),
             rows,
             marks,
         )
-        say(decision(result.candidates).text + (f" Report: {report}" if report else ""))
         if result.commissioned is None:
             say(f"Commissioning was not done: {dict(result.failed)['commissioning']}")
-        if result.axial is not None:
-            say(f"Along the shaft: {decision(along).text} Report: {directory / 'axial'}")
+        if report:
+            axial = f", {directory / 'axial'}" if result.axial is not None else ""
+            say(f"Report: {report}{axial}")
     if result.unwritten:
         raise InvalidInput("; ".join(result.unwritten))
     sys.exit(0 if result.passed and result.commissioned is not None else 1)
