@@ -51,7 +51,10 @@ if TYPE_CHECKING:
 METHODS = methods()
 _METHOD_OPTION = "--method"
 # of the controller, or of the loop as it runs
-_OF_ALL = ("fastest_pole", "bending_modes", "ratio_", "guard_", "direct_gain_mismatch")
+_OF_ALL = (
+    *("fastest_pole", "bending_modes", "ratio_", "guard_", "direct_gain_mismatch"),
+    *("unmet_checks", "measured_"),
+)
 _APART = 1.5  # times: continuous and sampled peaks that differ by more are explained
 
 

@@ -68,6 +68,7 @@ class Path:
         return f"{self.quantity} {axes}" + (f" {CURRENT}" if self.at == CURRENT else "")
 
 
+_SAME_RATE = 1e-3  # relative, between the rate of a loop and that of what was measured in it
 _FASTEST = 1e8  # rad/s; frequencies of machine files end at 1 MHz
 
 
@@ -225,6 +226,13 @@ def usable(response: Response, axes: Sequence[str], dt: float | None) -> Respons
             f"the highest frequency, {response.omega[-1] / _CYCLE:g} Hz, lies beyond half the "
             f"controller's {1 / dt:g} Hz; state the frequencies' unit (are they in rad/s, not Hz?),"
             " or leave lines out"
+        )
+    rate = response.sample_rate_hz
+    if dt is not None and rate is not None and abs(rate * dt - 1) > _SAME_RATE:
+        raise InvalidInput(
+            f"the responses are of a loop that runs at {rate:g} Hz, and this one runs at "
+            f"{1 / dt:g} Hz: the hold and the controller that ran are others; take {rate:g} Hz "
+            "(--rate-hz), or correct sample_rate_hz of the responses"
         )
     for path in response.paths:
         for axis in (path.read, path.injected):

@@ -182,3 +182,13 @@ def test_a_running_controller_needs_what_was_measured(tmp_path):
     closed = str(write_response(swept(), tmp_path / "closed.json"))
     with pytest.raises(InvalidInput, match="the controller that ran; give it"):
         amb.design(machine(), "tuned", rate=RATE, measured=[closed])
+
+
+def test_responses_of_another_rate_are_refused_wherever_they_are_judged(tmp_path):
+    """10 kHz measured, 20 kHz asked for: the plant came out with the hold of another loop."""
+    ran = str(write_controller(tmp_path / "K.json", law(), machine()))
+    file = str(write_response(swept(), tmp_path / "sweep.json"))
+    with pytest.raises(InvalidInput, match=r"runs at 10000 Hz, and this one runs at 20000 Hz"):
+        amb.design(machine(), "tuned", rate=2e4, measured=[file], running=ran)
+    with pytest.raises(InvalidInput, match=r"take 10000 Hz"):
+        amb.verify(machine(), law(), measured=[file], running=law(), rate=2e4)
