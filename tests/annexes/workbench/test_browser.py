@@ -337,6 +337,14 @@ def _follow(chromium, server, folder, brief):
     assert "c-double/controller.c" in names
     if PICTURES:
         page.screenshot(path=f"{PICTURES}/deploy.png", full_page=True)
+    # the rig of the machine as it is now
+    go(page, "live")
+    page.wait_for_selector("canvas")
+    runs_until(page, server, f"{FACTS}.includes('machine file has changed: start again')")
+    page.locator("[name=controller]").last.select_option("pid.json")
+    page.get_by_role("button", name="Start levitated", exact=True).click()
+    until(page, f"{FACTS} !== '' && !{FACTS}.includes('tuned.json')")
+    runs_until(page, server, f"!/has changed|tuned/.test({FACTS})")
     assert page.mistakes == []
     # every verdict good: the record's beginning, when the rotor has just been knocked, is left out
     states = [json.loads(path.read_text()) for path in folder.glob("jobs/*/job.json")]
