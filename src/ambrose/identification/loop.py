@@ -23,6 +23,7 @@ from ambrose.identification.output_error.problem import (
     FitOptions,
     build_experiment,
     deployed_controller,
+    modelled_modes,
 )
 from ambrose.identification.parameters import COVERAGE, magnet_paths, plant_at, split_timing
 from ambrose.identification.result import LoopIdentification
@@ -267,8 +268,7 @@ def _notes(
                 f"{records[0].sample_rate_hz:.6g} Hz, {late:g} sample{'s' * (late != 1)} late"
             )
         notes.append(f"no u_<axis> is recorded{where}: {unseen}. Record u, or be sure of the file")
-    if setup["bending_modes"] > FitOptions().bending_modes:
-        notes.append(f"{setup['bending_modes']} bending modes per plane are modelled")
+    notes += modelled_modes(setup["bending_modes"])
     notes += [
         f"{result.paths[k]} is the lag of the whole chain: it takes in filters and delays that the "
         "file does not state"

@@ -28,13 +28,21 @@ from ambrose.identification.output_error import statistics
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.output_error.loop_model import LoopModel, loop_model
 from ambrose.identification.output_error.normal_equations import Linearised, Minimum, minimise
-from ambrose.identification.output_error.problem import deployed_controller, start_values
+from ambrose.identification.output_error.problem import (
+    FURTHER_MODES,
+    FitOptions,
+    deployed_controller,
+    modelled_modes,
+    start_values,
+)
 from ambrose.identification.parameters import nominal_values, reduced_plant, split_timing
 from ambrose.identification.result import LoopIdentification
 from ambrose.identification.validation.plausibility import diagnose_values
 from ambrose.law.law import LawLike
 from ambrose.law.loop import timing_of
 from ambrose.machine.machine import Machine
+from ambrose.machine.parameters import bending_modes_of_mesh
+from ambrose.model.plant import Plant
 from ambrose.record.response import (
     QUANTITIES,
     Path,
@@ -173,12 +181,16 @@ def identify_responses(
             "or sample_time in [controller] of the machine file"
         )
     delay = timing.delay_samples if computing_delay is None else computing_delay
-    modes = 3 if bending_modes is None else bending_modes
+    modes = FitOptions().bending_modes if bending_modes is None else bending_modes
     plant = reduced_plant(machine, point, modes, paths)
-    law = deployed_controller(plant, controller, timing.sample_time, delay)
     values = nominal_values(plant, paths)
-    e, y = ([f"{kind}_{axis}" for axis in plant.axes] for kind in "ey")
-    loop = Loop(loop_model(plant, law, paths, values, e, y), tuple(plant.axes))
+
+    def modelled(plant: Plant) -> Loop:
+        law = deployed_controller(plant, controller, timing.sample_time, delay)
+        e, y = ([f"{kind}_{axis}" for axis in plant.axes] for kind in "ey")
+        return Loop(loop_model(plant, law, paths, values, e, y), tuple(plant.axes))
+
+    loop = modelled(plant)
     begin = start_values(paths, values, start)
     problem = Problem(loop, tuple(usable(one, loop.axes, timing.sample_time) for one in responses))
     progress("checking what was measured")
@@ -186,10 +198,27 @@ def identify_responses(
     progress(f"identifying {len(paths)} parameters from {problem.count} paths")
     scale = np.where(begin == 0, 1.0, np.abs(begin))
     statistics.check_visible(paths, problem.linearise(begin).H, scale)
-    minimum = minimise(problem.linearise, begin, scale, lambda theta: True, max_iterations)
+
+    def fitted(problem: Problem, begin: np.ndarray) -> Minimum:
+        return minimise(problem.linearise, begin, scale, lambda theta: True, max_iterations)
+
+    minimum = fitted(problem, begin)
     if problem.unstated:  # again, with the size of every path's own residual
         problem = problem.weighed(minimum.x)
-        minimum = minimise(problem.linearise, minimum.x, scale, lambda theta: True, max_iterations)
+        minimum = fitted(problem, minimum.x)
+    most = bending_modes_of_mesh(machine) if bending_modes is None else modes
+    while modes < most:  # a few more, as long as they explain a part of what is left
+        count = min(modes + FURTHER_MODES, most)
+        further = replace(problem, loop=modelled(reduced_plant(machine, point, count, paths)))
+        found = fitted(further, minimum.x)
+        if found.cost > minimum.cost - _TOLD * further.excess(found):
+            break
+        progress(f"identifying again with {count} bending modes, which the responses tell")
+        modes, problem, minimum = count, further, found
+        if problem.unstated:
+            problem = problem.weighed(minimum.x)
+            minimum = fitted(problem, minimum.x)
+    loop = problem.loop
     progress("checking the result")
     if not loop.stable(minimum.x):
         raise InvalidInput(
@@ -209,7 +238,7 @@ def identify_responses(
         controller=controller,
         computing_delay=delay,
         bending_modes=modes,
-        notes=problem.notes(minimum.x, untold),
+        notes=(*problem.notes(minimum.x, untold), *modelled_modes(modes)),
     )
 
 
@@ -288,6 +317,12 @@ class Problem:
                 g += (J.conj() @ r).real
                 cost += float(np.vdot(r, r).real)
         return Linearised(cost, H, g)
+
+    def excess(self, minimum: Minimum) -> float:
+        """The residuals' variance over the noise's, at least 1: what the model lacks counts as
+        noise.
+        """
+        return max(minimum.cost / (2 * sum(len(path.values) for _, path in self.items)), 1.0)
 
     def weighed(self, theta: np.ndarray) -> Problem:
         """With the sizes of the residuals at theta."""
@@ -413,8 +448,7 @@ class Problem:
         one: twice the log likelihood of the best fit with exchanged names from the values at begin,
         beside that as named.
         """
-        count = 2 * sum(len(path.values) for _, path in self.items)
-        size = max(minimum.cost / count, 1.0)  # what the model lacks counts as noise
+        size = self.excess(minimum)
         untold: list[str] = []
         better: list[tuple[float, str]] = []
         for words, named in self._exchanges():

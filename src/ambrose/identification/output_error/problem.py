@@ -33,6 +33,11 @@ from ambrose.record.record import Record
 _WINDOW = 16_384  # samples in which an excitation is judged at a time
 
 
+# bending modes beyond those modelled, which are tried together; assumed: each further one is
+# stiffer, and pulls at the static response by less
+FURTHER_MODES = 3
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitOptions:
     """How a closed loop is modelled and fitted.
@@ -56,6 +61,11 @@ class FitOptions:
     tones: Sequence[float] = ()
     period: float | str | None = None
     max_iterations: int = 50
+
+
+def modelled_modes(count: int) -> list[str]:
+    """A note where more bending modes per plane are modelled than anybody asked for."""
+    return [f"{count} bending modes per plane are modelled"] * (count > FitOptions().bending_modes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -32,7 +32,12 @@ from ambrose.identification.output_error.normal_equations import (
     normal_equations,
     synchronised,
 )
-from ambrose.identification.output_error.problem import Experiment, FitOptions, build_experiment
+from ambrose.identification.output_error.problem import (
+    FURTHER_MODES,
+    Experiment,
+    FitOptions,
+    build_experiment,
+)
 from ambrose.identification.output_error.statistics import (
     coloured_products,
     residual_scores,
@@ -260,9 +265,6 @@ _TELLS = 0.01
 _REST = 0.2
 # of a number that the machine file gives and the fit takes, one standard deviation; assumed
 FILE = 0.03
-# bending modes beyond those modelled, which are tried together; assumed: each further one is
-# stiffer, and pulls at the static response by less
-_FURTHER = 3
 # standard deviations of a value that further modes must move it by to be named; assumed: 0.3
 # widens an interval by hypot(1, 0.3) = 1.04
 _SEEN = 0.3
@@ -319,7 +321,7 @@ def suspects(
     """
     options = replace(options, period=None)
     otherwise = _structures(machine, records, controller, result, options, prior)
-    modes = min(options.bending_modes + _FURTHER, bending_modes_of_mesh(machine))
+    modes = min(options.bending_modes + FURTHER_MODES, bending_modes_of_mesh(machine))
     options = replace(options, bending_modes=max(modes, options.bending_modes))
     paths = [
         path
@@ -414,13 +416,13 @@ def chosen_modes(
 
     count = fewest
     while count < most:
-        now, further = tried(count), tried(min(count + _FURTHER, most))
+        now, further = tried(count), tried(min(count + FURTHER_MODES, most))
         moved = np.abs(further.step - now.step) > _SEEN * result.standard_deviations
         if not further.cost < (1 - _TELLS) * now.cost or not moved.any():
             break
-        count = min(count + _FURTHER, most)
+        count = min(count + FURTHER_MODES, most)
     # the last few may hold some that explain nothing
-    first = max(count - max(_FURTHER - 1, 0), fewest)
+    first = max(count - max(FURTHER_MODES - 1, 0), fewest)
     return min(range(first, count + 1), key=lambda count: tried(count).cost)
 
 
@@ -437,7 +439,7 @@ def _structures(
     records than the model does, are none.
     """
     others: list[tuple[str, LawLike, FitOptions]] = []
-    modes = min(options.bending_modes + _FURTHER, bending_modes_of_mesh(machine))
+    modes = min(options.bending_modes + FURTHER_MODES, bending_modes_of_mesh(machine))
     if modes > options.bending_modes:
         name = f"{modes} {BENDING_MODES}"
         others.append((name, controller, replace(options, bending_modes=modes)))
@@ -577,7 +579,7 @@ def _sized(item: Suspect) -> str:
     if item.path.startswith(SAMPLING):
         return "instead of Tustin's rule"
     if item.path.endswith(BENDING_MODES):
-        return f"instead of {int(item.path.split()[0]) - _FURTHER}"
+        return f"instead of {int(item.path.split()[0]) - FURTHER_MODES}"
     return (
         f"{1e6 * item.step:+.3g} us"
         if item.path in TIMING
