@@ -122,6 +122,12 @@ def test_paths_reach_names_numbers_and_lists():
             "true or false",
         ),
         ({}, {"point.speed": {"values": [1, 2], "from": 1, "to": 2}}, "unknown key 'values'"),
+        *(
+            ({}, {path: given}, "must be finite numbers")
+            for path in ("point.speed", "tolerance.*", "option.seed", "controller.gain")
+            for number in (10**400, -(10**400), float("inf"), float("nan"))
+            for given in ([1, number], {"from": number, "to": 1, "count": 2})
+        ),
     ],
 )
 def test_wrong_plans_are_refused(head, vary, words):

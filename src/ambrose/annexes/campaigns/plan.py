@@ -20,6 +20,7 @@ import copy
 import hashlib
 import json
 import re
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
@@ -321,8 +322,12 @@ def _variable(path: str, given: Any, grid: bool) -> Variable:
         raise InvalidInput(
             f'[vary] "{path}" does not exist; a path is {known}, or one of {", ".join(BASES)} whole'
         )
+    values = given if isinstance(given, list) else [given]
+    written = given.values() if isinstance(given, Mapping) else values
+    # also of what a file writes with hundreds of digits
+    if not all(abs(x) <= sys.float_info.max for x in written if isinstance(x, int | float)):
+        raise invalid(f'[vary] "{path}"', shown(given), "finite numbers", "correct it")
     if not isinstance(given, Mapping):
-        values = given if isinstance(given, list) else [given]
         if not values or not all(isinstance(value, str | int | float | bool) for value in values):
             raise invalid(
                 f'[vary] "{path}"',
