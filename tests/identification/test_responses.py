@@ -19,6 +19,7 @@ from ambrose.judge.controller_file import write_controller
 from ambrose.machine.description import OperatingPoint
 from ambrose.record.response import Path, Response
 from ambrose.record.response_files import write_response
+from ambrose.report.identification import responses_figure
 from analyser import Truth, matrices
 from independent_rig import Rig, numbers_of
 
@@ -189,6 +190,8 @@ def test_a_resonance_that_nothing_models_is_a_finding_and_widens_the_intervals()
     done = identify(measured("T", edit=edited(values=lambda p: p.values * ringing)))
     assert any(finding.code == Code.RESIDUALS and "Hz" in str(finding) for finding in done.findings)
     clean = identify(measured("T"))
+    told = re.match(r"(\d+) of (\d+) responses hold", done.verdict)
+    assert 0 < int(told[1]) <= int(told[2]) == 16
     pairs = zip(done.parameters, clean.parameters, strict=True)
     assert all(a.standard_deviation > 1.5 * b.standard_deviation for a, b in pairs)
 
@@ -312,7 +315,8 @@ def test_from_the_command_line(tmp_path):
     done = run("identify", MACHINE, tmp_path / "sweep.csv", "--controller", tmp_path / "K.json",
                *unknown, *where)  # fmt: skip
     assert done.exit_code == 0, (done.stdout, done.stderr)
-    assert "frequency responses" in (tmp_path / "page.html").read_text()
+    page = (tmp_path / "page.html").read_text()
+    assert "frequency responses" in page and "Measured responses: open loop" in page
     _, values = truth()
     found = amb.load_machine(str(tmp_path / "found.toml"))
     for bearing in found.bearings:
@@ -329,6 +333,21 @@ def test_from_the_command_line(tmp_path):
     (tmp_path / "wrong.csv").write_text(wrong)
     refused = run("identify", MACHINE, tmp_path / "wrong.csv", "--controller", tmp_path / "K.json")
     assert refused.exit_code == 2 and "state dB" in refused.stderr
+
+
+def test_the_page_draws_every_axis_beside_its_model():
+    response = measured("S", diagonal=True)
+    done = identify(response)
+    assert [one.quantity for one in done.responses] == ["S"] * 4
+    drawn = responses_figure(machine(), done.responses)
+    assert drawn.title == "Measured responses: sensitivity"
+    curves = [t for t in drawn.picture.data if t.name == "identified"]
+    for one, path in zip(done.responses, response.paths, strict=True):
+        band = one.measured.radius()[:, 0, 0]  # 95 % of what is measured lies about the model
+        assert np.mean(np.abs(path.values - one.identified) < band) > 0.85
+        assert any(np.allclose(curve.y, np.abs(one.identified), rtol=1e-3) for curve in curves)
+        before = np.abs(path.values - one.start)
+        assert np.linalg.norm(before) > 1.5 * np.linalg.norm(path.values - one.identified)
 
 
 def with_casing(seed):

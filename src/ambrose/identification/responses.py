@@ -24,6 +24,7 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import poles
 from ambrose.identification.data_quality.signals import point_findings
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding, refuse
+from ambrose.identification.frf_spectral import Frf
 from ambrose.identification.output_error import statistics
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.output_error.loop_model import LoopModel, loop_model
@@ -36,7 +37,7 @@ from ambrose.identification.output_error.problem import (
     start_values,
 )
 from ambrose.identification.parameters import nominal_values, reduced_plant, split_timing
-from ambrose.identification.result import LoopIdentification
+from ambrose.identification.result import LoopIdentification, ResponseFit
 from ambrose.identification.validation.plausibility import diagnose_values
 from ambrose.law.law import LawLike
 from ambrose.law.loop import timing_of
@@ -45,6 +46,7 @@ from ambrose.machine.parameters import bending_modes_of_mesh
 from ambrose.model.plant import Plant
 from ambrose.record.response import (
     QUANTITIES,
+    SCATTER_DOF,
     Path,
     Response,
     agreement,
@@ -83,6 +85,7 @@ _TOLD = 20.0  # of twice the log likelihood, by which one reading is better than
 _REFITS = 10  # iterations of the fit with exchanged axes
 _AWAY = 5.0  # of their size, by which the values may go from the start in it
 _HOPELESS = 20.0  # times the sum of squares, at the start, from which a reading is not fitted
+_KNOWN = 1e6  # degrees of freedom of a variance that is stated
 _MAGNET = 0.2, 5.0  # factors of L and G that a K_i of another size might make
 
 
@@ -214,7 +217,8 @@ def identify_responses(
         if found.cost > minimum.cost - _TOLD * further.excess(found):
             break
         progress(f"identifying again with {count} bending modes, which the responses tell")
-        modes, problem, minimum = count, further, found
+        modes, problem = count, further
+        minimum = found
         if problem.unstated:
             problem = problem.weighed(minimum.x)
             minimum = fitted(problem, minimum.x)
@@ -239,6 +243,7 @@ def identify_responses(
         computing_delay=delay,
         bending_modes=modes,
         notes=(*problem.notes(minimum.x, untold), *modelled_modes(modes)),
+        responses=tuple(problem.beside(minimum.x, begin)),
     )
 
 
@@ -484,6 +489,25 @@ class Problem:
         remedy = "exchange them in the file's names"
         return untold, (Finding(Code.MIXED_CHANNELS, ERROR, text, remedy=remedy),)
 
+    def beside(self, theta: np.ndarray, begin: np.ndarray) -> Iterator[ResponseFit]:
+        """Every path with its model's values at theta and at begin."""
+        models = zip(self.models(theta), self.models(begin), strict=True)
+        for (omega, path), (after, before) in zip(self.items, models, strict=True):
+            one, found = (len(omega), 1, 1), after[1]
+            unknown = np.full((len(omega), 1), np.nan)
+            measured = Frf(
+                path.values.reshape(one),
+                omega,
+                (path.injected,),
+                (path.read,),
+                noise_beside(omega, path, found).reshape(one),
+                unknown,
+                unknown,
+                SCATTER_DOF if path.variance is None else _KNOWN,
+                float(self.loop.model.controller.dt or 0.0),
+            )
+            yield ResponseFit(path.quantity, measured, found, before[1])
+
     def notes(self, theta: np.ndarray, untold: Sequence[str] = ()) -> tuple[str, ...]:
         """What was fitted and how far the model holds, in words."""
         items = [
@@ -676,6 +700,7 @@ def _estimate(
             )
             text = f"the model leaves of {path.name} {why}, {worst}"
             findings.append(Finding(Code.RESIDUALS, WARNING, text, remedy=remedy))
+    lacking = len(findings)  # one of a path
     if findings:
         worst = ERROR if any(item.severity == ERROR for item in findings) else WARNING
         findings[:0] = _named(problem, minimum.x, worst)
@@ -683,7 +708,7 @@ def _estimate(
     covariance = np.linalg.inv(H) * excess
     correlation = statistics.parameter_correlation(H)
     verdict = (
-        f"{len(findings)} of {problem.count} responses hold what the model lacks; the first: "
+        f"{lacking} of {problem.count} responses hold what the model lacks; the first: "
         f"{findings[0].what}"
         if findings
         else "what the residuals of the responses hold is noise"

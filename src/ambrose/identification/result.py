@@ -8,12 +8,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from datetime import date
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ambrose.core.presentation import Presented, data_frame, html_table, in_words, with_unit
 from ambrose.identification.findings import Code, Finding
+from ambrose.identification.frf_spectral import Frf
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.output_error.magnetic_force import MagneticForce
 from ambrose.identification.parameters import COVERAGE, unit_of, update_machine
@@ -219,6 +220,17 @@ class Identification(Presented, ABC):
         )
 
 
+class ResponseFit(NamedTuple):
+    """One measured path of a ``record.response.QUANTITIES`` and its model's values (w,) with the
+    parameters found and with those at the start.
+    """
+
+    quantity: str
+    measured: Frf
+    identified: np.ndarray
+    start: np.ndarray
+
+
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
 class LoopIdentification(Identification):
     """From closed-loop records. outputs: every record beside the model; controller, computing_delay
@@ -229,7 +241,7 @@ class LoopIdentification(Identification):
     behind the controller, taken as known although it was asked for. standing: where the rotor stood
     off the sensors' zero, to which the values are carried (None: it stood there). found_along: what
     numbers of the machine file were found along, in words. notes: what was not checked, and how
-    the loop was modelled, in words.
+    the loop was modelled, in words. responses: measured and modelled, of frequency responses.
     """
 
     result: ParameterEstimate
@@ -244,6 +256,7 @@ class LoopIdentification(Identification):
     standing: Standing | None = None
     found_along: str = ""
     notes: tuple[str, ...] = ()
+    responses: tuple[ResponseFit, ...] = ()
 
     @property
     def method(self) -> str:

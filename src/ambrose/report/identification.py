@@ -7,6 +7,7 @@ pressure.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -17,11 +18,12 @@ from ambrose.core.frequency import FrequencyResponse
 from ambrose.identification import frf_spectral as frf
 from ambrose.identification.findings import Code
 from ambrose.identification.frf import compare, model_response
+from ambrose.identification.frf_spectral import Frf
 from ambrose.identification.one_axis.estimate import LEVEL
 from ambrose.identification.one_axis.identify import GenericIdentification, PlantValue
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.parameters import COVERAGE, plant_at, unit_of
-from ambrose.identification.result import LoopIdentification, StaticIdentification
+from ambrose.identification.result import LoopIdentification, ResponseFit, StaticIdentification
 from ambrose.identification.seal.by_frequency import SealByFrequency
 from ambrose.identification.seal.by_pressure import COEFFICIENTS, SealFit, averaged, line
 from ambrose.identification.static_load import StaticLoad
@@ -32,6 +34,7 @@ from ambrose.judge.checks import Curve
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import TIMING, parse_parameter
 from ambrose.record.record import Record
+from ambrose.record.response import QUANTITIES
 from ambrose.report import tables, theme
 from ambrose.report.figures.bode import Panel, panel_figure, residual_figure as residual_response
 from ambrose.report.figures.seals import frequency_figure, pressure_figure, response_figure
@@ -373,6 +376,34 @@ def frf_figure(machine: Machine, checked: LoopIdentification) -> tuple[Any, str]
         "first frequencies on."
     )
     return figure, words
+
+
+def responses_figure(machine: Machine, fits: Sequence[ResponseFit]) -> Figure:
+    """The response of every axis on itself, measured and modelled before and after: of the quantity
+    that most axes have, four axes at most.
+    """
+    own = [one for one in fits if one.measured.inputs == one.measured.outputs]
+    ((quantity, _),) = Counter(one.quantity for one in own or fits).most_common(1)
+    shown = [one for one in own or fits if one.quantity == quantity][:4]
+    measured: dict[str, Frf] = {}
+    models: dict[str, Mapping[str, FrequencyResponse]] = {}
+    for one in shown:
+        names = dict.fromkeys((*one.measured.outputs, *one.measured.inputs))
+        title = " / ".join(theme.axis_name(name) for name in names)
+        measured[title] = one.measured
+        models[title] = {
+            label: FrequencyResponse(
+                values.reshape(-1, 1, 1),
+                one.measured.omega,
+                one.measured.inputs,
+                one.measured.outputs,
+            )
+            for label, values in (("identified", one.identified), ("start", one.start))
+        }
+    words, *units = QUANTITIES[quantity]
+    figure = response_figure(measured, models, unit="/".join(filter(None, units)))
+    figure.update_annotations(font={"size": 13})
+    return Figure(f"Measured responses: {words}", figure, _RESPONSES)
 
 
 def _measured(records: Sequence[Record], axes: Sequence[str]) -> frf.Frf | None:
@@ -1068,6 +1099,10 @@ _FRF = (
     "feedback), with its 95 % band, and the model before and after. Third row: the model's "
     "error and the measurement's own (pale). Trust what is measured where the coherence is near 1. "
 )
+_RESPONSES = (
+    "Each axis on itself, as measured (95 % band of its noise), and the model before and after. "
+    "Third row: the model's error and the measurement's own (pale). "
+)
 _SEAL = (
     "Points are the identified coefficients; from three pressures on, the line is the weighted "
     "regression, the dark band contains the true line, the pale one the next measurement. k "
@@ -1173,8 +1208,8 @@ def seal_figure(fit: SealFit) -> Figure:
 
 def _comparisons(machine: Machine, checked: LoopIdentification) -> list[Figure]:
     figures: list[Figure] = []
-    if not checked.outputs:  # frequency responses, whose fit the table shows
-        return figures
+    if checked.responses:
+        return [responses_figure(machine, checked.responses)]
     several = len(checked.outputs) > 1
     for number, piece in telling_records(checked.outputs):
         where = f", record {number}" if several else ""

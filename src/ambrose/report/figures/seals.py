@@ -39,8 +39,8 @@ def response_figure(
     points: bool = False,
     unit: str = "m/A",
 ) -> Any:
-    """Magnitude, phase, coherence of measured responses, a column for each, models on the same
-    lines and their error.
+    """Magnitude, phase and, where it is known, coherence of measured responses, a column for each,
+    models on the same lines and their error.
 
     The error is |model - measured| over |measured|; the pale band is the measurement's own, 95 %.
 
@@ -51,10 +51,12 @@ def response_figure(
     if not measured:
         raise InvalidInput("no measured response was given; a figure needs at least one")
     titles = [f"<b>{theme.plain(title)}</b>" for title in measured]
+    # an analyser's file need not hold the coherence
+    rows = 4 if any(np.isfinite(item.coherence).any() for item in measured.values()) else 3
     figure = theme.subplots(
-        rows=4,
+        rows=rows,
         cols=len(measured),
-        row_heights=[0.4, 0.22, 0.22, 0.16],
+        row_heights=[0.4, 0.22, 0.22, 0.16][:rows],
         shared_xaxes=True,
         shared_yaxes="rows",
         horizontal_spacing=0.02,
@@ -75,10 +77,10 @@ def response_figure(
         for label, model in models.get(title, {}).items():
             _modelled(figure, item, model, label, look[label], factor, column)
         if valid_to and title in valid_to:
-            for row in (1, 2, 3, 4):
+            for row in range(1, rows + 1):
                 figure.add_vline(x=valid_to[title] / theme.TWO_PI, row=row, col=column, line=_MARK)
-    theme.dress(figure, 620, legend=True)
-    _response_axes(figure, measured, sizes, factor, unit)
+    theme.dress(figure, 620 if rows == 4 else 520, legend=True)
+    _response_axes(figure, measured, sizes, factor, unit, rows)
     return figure
 
 
@@ -94,7 +96,8 @@ def _measured(figure: Any, item: Frf, factor: float, column: int, points: bool) 
         figure, {"row": 3, "col": column}, f, np.full(len(f), 1e-3), 100 * half / size, _BAND
     )
     look = theme.Style(_MEASURED, "solid", "circle", 1.3)
-    for row, y in ((1, size * factor), (2, angle), (4, item.coherence[:, 0])):
+    coherence = ((4, item.coherence[:, 0]),) if np.isfinite(item.coherence).any() else ()
+    for row, y in ((1, size * factor), (2, angle), *coherence):
         place, in_legend = {"row": row, "col": column}, column == 1 and row == 1
         _line(figure, place, f, y, "measured, with 95 %", look, shown=in_legend, points=points)
 
@@ -132,19 +135,24 @@ def _modelled(
 
 
 def _response_axes(
-    figure: Any, measured: Mapping[str, Frf], sizes: Sequence[np.ndarray], factor: float, unit: str
+    figure: Any,
+    measured: Mapping[str, Frf],
+    sizes: Sequence[np.ndarray],
+    factor: float,
+    unit: str,
+    rows: int,
 ) -> None:
     low = min(float(np.quantile(size, 0.02)) for size in sizes) * factor / 2
     high = max(float(size.max()) for size in sizes) * factor * 1.6
     f = np.concatenate([item.omega for item in measured.values()]) / theme.TWO_PI
     figure.update_xaxes(**theme.decades(float(f.min()), float(f.max())))
-    figure.update_xaxes(title_text="Frequency [Hz]", row=4)
+    figure.update_xaxes(title_text="Frequency [Hz]", row=rows)
     angles = np.concatenate([phase(item.values[:, 0, 0]) for item in measured.values()])
     turn = [90 * np.floor(float(angles.min()) / 90), 90 * np.ceil(float(angles.max()) / 90)]
     for column in range(1, len(measured) + 1):
         figure.update_yaxes(**theme.decades(low, high), row=1, col=column)
         figure.update_yaxes(**theme.decades(0.03, 30), row=3, col=column)
-    figure.update_yaxes(title_text=f"[{unit}]", row=1, col=1)
+    figure.update_yaxes(title_text=f"[{unit}]" if unit else "Magnitude", row=1, col=1)
     figure.update_yaxes(
         title_text="Phase [°]",
         range=turn,
@@ -153,7 +161,8 @@ def _response_axes(
         col=1,
     )
     figure.update_yaxes(title_text="Error [%]", row=3, col=1)
-    figure.update_yaxes(title_text="Coherence", range=[0, 1.05], dtick=0.5, row=4, col=1)
+    if rows == 4:
+        figure.update_yaxes(title_text="Coherence", range=[0, 1.05], dtick=0.5, row=4, col=1)
 
 
 def frequency_figure(
