@@ -523,10 +523,7 @@ def verify(
             description, result.synchronous, loop=result.timing, controller=result.controller
         )
         failure = kept(lambda path: write(blocks, path), page)
-    named = result
-    if path is not None:
-        named = replace(result, controller=f"{path.name}, {result.controller}")
-    failure = kept_page(named, report, description, called="report") or failure
+    failure = kept_page(result, report, description, called="report") or failure
     if as_json:
         say_json({"machine": description.name, **result.to_dict()})
     else:

@@ -475,6 +475,7 @@ def exploration_page(exploration: Exploration, *, date: str = "") -> Page:
         whole = bool(exploration.pulses.stable.all())
         verdicts.append(Verdict("Members of the tolerances", whole, _members(exploration.pulses)))
     facts = (
+        ("Controller", exploration.controller),
         ("Operating point", exploration.point.label),
         ("Loop", timing_in_words(exploration.timing)),
         ("How", theme.prose(tables.capitalised(exploration.notes, ". ", ""))),

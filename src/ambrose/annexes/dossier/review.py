@@ -218,9 +218,9 @@ def review_page(result: Review, *, brand: Brand | None = None, date: str = "") -
     ]
     sources = "; ".join(f"{name}, SHA-256 {digest}" for name, digest in result.sources)
     facts = (
-        ("Controller", result.verification.controller if not sources else ""),
+        ("Controller", result.verification.controller),
         ("Loop", loop_in_words(result.verification.timing)),
-        ("Files", sources),
+        ("Files as they are", sources),
     )
     return Page(
         "Review",

@@ -418,6 +418,7 @@ def frf_page(found: Responses, *, date: str = "") -> Page:
     methods = ", ".join(dict.fromkeys(IN_WORDS[point.loop.method] for point in found.points))
     facts = (
         ("Records", ", ".join(found.records)),
+        ("Controller", found.controller),
         ("Method", methods),
         ("Loop", timing_in_words(str(found.timing))),
         ("Operating points", "; ".join(point.label for point in found.points)),
@@ -626,7 +627,11 @@ def retuning_page(done: Retuning, *, date: str = "") -> Page:
         done.machine,
         tuple(sections),
         (),
-        (("Loop", timing_in_words(str(done.timing))),),
+        (
+            ("Running controller", done.running.named),
+            ("New controller", "" if done.new is None else done.new.named),
+            ("Loop", timing_in_words(str(done.timing))),
+        ),
         date,
         result=result,
         opening=_verdicts(done),
@@ -771,11 +776,7 @@ def _moved(run: Switch) -> tuple[object, str]:
 
 
 def _provenance(done: Retuning) -> Section:
-    rows: list[tuple[str, str, Cell]] = [
-        ("Running controller", done.running.method, Cell("", detail=done.running.digest)),
-    ]
-    if done.new is not None:
-        rows.append(("New controller", done.new.method, Cell("", detail=done.new.digest)))
+    rows = list[tuple[str, str, Cell]]()
     delivery = done.delivery
     if delivery is not None and delivery.difference is not None:
         change = delivery.difference
@@ -785,4 +786,4 @@ def _provenance(done: Retuning) -> Section:
     if done.identification is not None:
         rows.append(("Records", done.identification.provenance.of_records, Cell("")))
     table = Table("", ("", "What", "Hash"), tuple(rows), "", (25, 35, 40))
-    return Section("What it rests on", "", (), (table,))
+    return Section("What it rests on", "", (), (table,) if rows else ())
