@@ -13,12 +13,17 @@ import pytest
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.campbell import ONCE, CampbellMap, campbell_curves
 from ambrose.judge.checks import Checks, Curve
+from ambrose.machine.file.toml import load_machine
 from ambrose.machine.machine import Machine
 from ambrose.machine.part import Disc
 from ambrose.report import theme
 from ambrose.report.figures import curves as plots
 from ambrose.report.figures.curves import pole_figure
-from ambrose.report.figures.rotor_drawing import equivalent_cylinder, rotor_drawing
+from ambrose.report.figures.rotor_drawing import (
+    equivalent_cylinder,
+    machine_drawing,
+    rotor_drawing,
+)
 
 TWO_PI = 2 * np.pi
 
@@ -300,3 +305,11 @@ def test_the_line_of_the_speed_differs_from_modes_and_far_modes_leave_the_view()
     words = texts(figure)
     assert words.count(ONCE) == 1 and "1× speed" not in words
     assert "mode 3" not in words and "modes above 318" in words
+
+
+def test_a_wide_disc_does_not_fill_a_page_of_its_own() -> None:
+    """The flywheel's drawing was 1,200 px high, more than a printed page."""
+    machine = load_machine("flywheel")
+    picture = machine_drawing(machine)
+    assert picture.layout.height < 900
+    assert machine.length * 1e3 < picture.layout.xaxis.range[1]

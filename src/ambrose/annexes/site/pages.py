@@ -617,9 +617,10 @@ def retuning_page(done: Retuning, *, date: str = "") -> Page:
     if done.acceptance is not None:
         checks = tuple(tables.checks_table(loop.checks) for loop in done.acceptance.points)
         sections.append(Section("As measured after the change", "", (), checks))
-    sections.append(_provenance(done))
+    sections += _provenance(done)
     step = done.stopped_at
     last = done.steps[-1] if step is None and done.steps else step
+    identified = done.identification
     words = done.outcome.capitalize() if last is None else f"{last.title}: {_first(last.words)}"
     result = Verdict("", done.passed, words)
     return Page(
@@ -630,6 +631,7 @@ def retuning_page(done: Retuning, *, date: str = "") -> Page:
         (
             ("Running controller", done.running.named),
             ("New controller", "" if done.new is None else done.new.named),
+            ("Records", "" if identified is None else identified.provenance.of_records),
             ("Loop", timing_in_words(str(done.timing))),
         ),
         date,
@@ -775,7 +777,7 @@ def _moved(run: Switch) -> tuple[object, str]:
     return panel_figure(rows, style, height=130)
 
 
-def _provenance(done: Retuning) -> Section:
+def _provenance(done: Retuning) -> list[Section]:
     rows = list[tuple[str, str, Cell]]()
     delivery = done.delivery
     if delivery is not None and delivery.difference is not None:
@@ -783,7 +785,5 @@ def _provenance(done: Retuning) -> Section:
         text = f"{len(change.changes)} entries"
         sums = f"CRC-32 {change.checksum_before} to {change.checksum}"
         rows.append(("Difference of parameters", text, Cell("", detail=sums)))
-    if done.identification is not None:
-        rows.append(("Records", done.identification.provenance.of_records, Cell("")))
     table = Table("", ("", "What", "Hash"), tuple(rows), "", (25, 35, 40))
-    return Section("What it rests on", "", (), (table,) if rows else ())
+    return [Section("What it rests on", "", (), (table,))] if rows else []

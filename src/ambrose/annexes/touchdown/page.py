@@ -551,11 +551,11 @@ def drop_section(result: Landing) -> Section:
         touched = f"{1e3 * figures[0]:.4g} ms" if figures[0] >= 0 else "never"
         values = (
             touched,
-            f"{figures[1] / 1e3:.3g} kN",
-            f"{figures[2] / 1e3:.3g} kN",
-            f"{1e6 * figures[5]:.4g} µm",
+            theme.join(theme.number(figures[1] / 1e3), "kN"),
+            theme.join(theme.number(figures[2] / 1e3), "kN"),
+            theme.quantity(figures[5], "m", 4),
             f"{figures[6] / turn:.2f} / {figures[7] / turn:.2f}",
-            f"{result.fall.energy[k]:.4g} J",
+            theme.join(theme.number(result.fall.energy[k], 4), "J"),
             f"{figures[10] * 30 / np.pi:,.0f} rpm",
         )
         rows.append((name, *numbers(*values)))
