@@ -366,7 +366,10 @@ def _verify_axes(
         progress(f"judging on the responses of {within[k].point.label}")
         by_lines.append(check_measured(within[k], response, law, running, timing))
     modelled = [plant for k, plant in enumerate(within) if k not in places]
-    checks = verify_points(modelled, law, progress, timing)
+    # together: along the speed once for every pressure
+    every = verify_points([*(within[k] for k in sorted(places)), *modelled], law, progress, timing)
+    by_lines = [_with_model(*pair) for pair in zip(by_lines, every, strict=False)]
+    checks = every[len(by_lines) :]
     boxes: tuple[Checks, ...] = ()
     if asked.tolerances:
         boxes = verify_tolerances(
@@ -384,7 +387,11 @@ def _verify_axes(
             for item in proof.prove(whole, law, checks, timing, asked, progress)
         )
     blocks = () if whole is None else verify_synchronous(whole, law, asked, progress)
-    still = tuple(words for plant in modelled for words in not_varied(plant))
+    still = tuple(words for plant in modelled for words in not_varied(plant)) + tuple(
+        f"{within[k].point.label}: its responses were measured"
+        for k in sorted(places)
+        if tolerances_around(within[k])
+    )
     return Verification(
         checks,
         boxes,
@@ -402,6 +409,29 @@ def _verify_axes(
         ),
         between=_between(law, within, checks),
     )
+
+
+_TOLD = ("stability.abscissa", "sensitivity.", "complementary.", "margin.")  # by responses
+
+
+def _with_model(lines: Checks, model: Checks) -> Checks:
+    """Checks on measured responses, and of the model what these do not tell: unbalance, currents,
+    settling, damping, the controller's own limits.
+    """
+    if not lines.stable:
+        return lines
+    if not model.stable:
+        why = "the model of this point is unstable; identify the machine from these responses"
+        title = "Requirements that the responses do not tell, by the model"
+        none = Demand(0.0, "<", "stability of the model")
+        growth = model["stability.abscissa"].value
+        return replace(
+            lines,
+            checks=(*lines.checks, judge("model.abscissa", title, growth, "rad/s", none, why)),
+        )
+    rest = tuple(check for check in model.checks if not check.name.startswith(_TOLD))
+    curves = tuple(curve for curve in model.curves if not curve.name.startswith(_TOLD))
+    return replace(lines, checks=(*lines.checks, *rest), curves=(*lines.curves, *curves))
 
 
 def verify_points(
