@@ -981,18 +981,23 @@ def _notes(lines: Lines, judged: Judged, valid: Agreement) -> tuple[str, ...]:
     )
 
 
+def read_responses(responses: Responses) -> list[Response]:
+    """One or several, each read where it is a file. Raises InvalidInput."""
+    items = [responses] if isinstance(responses, Response | str | File) else list(responses)
+    return [item if isinstance(item, Response) else read_response(item) for item in items]
+
+
 def placed(
     plants: Sequence[Plant], responses: Responses, running: LawLike | None
 ) -> dict[int, Response]:
     """Which responses are of which plant, by its number. Raises InvalidInput for responses of
     another machine, of no operating point among these, and of the same.
     """
-    items = [responses] if isinstance(responses, Response | str | File) else list(responses)
+    items = read_responses(responses)
     if running is not None and not items:
         raise InvalidInput("a running controller is given without responses; add them (--measured)")
     places: dict[int, Response] = {}
-    for number, item in enumerate(items, 1):
-        one = item if isinstance(item, Response) else read_response(item)
+    for number, one in enumerate(items, 1):
         name = plants[0].machine.name
         if one.machine != name:
             what, remedy = f"the machine of responses {number}", "take that machine's file"

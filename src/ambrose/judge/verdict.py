@@ -31,7 +31,7 @@ from ambrose.judge.checks import (
     required_line,
 )
 from ambrose.judge.loop_response import solid_cores
-from ambrose.judge.measured import Responses, check_measured, placed
+from ambrose.judge.measured import Responses, check_measured, placed, read_responses
 from ambrose.judge.plants import (
     Progress,
     full_plants,
@@ -62,6 +62,7 @@ from ambrose.model.effect import pressure_knots, speed_knots
 from ambrose.model.plant import Plant, beyond_top_speed
 from ambrose.model.uncertainty import default_bending_modes, not_varied, reduce, tolerances_around
 from ambrose.options import Verifying
+from ambrose.record.response import Response
 
 # Verification between operating points: a range of speeds and pressures, gridded as finely as the
 # loop changes.
@@ -320,18 +321,40 @@ def verify_controller(
     (own, first), *others = groups.values()
     if points is None:
         refuse_motion(own, first, asked)
+    lines = _allotted([own, *(group for group, _ in others)], points, measured)
+    ran = {} if running is None else laws_of(machine, law_of(running), axes=asked.axes)
+    if running is not None and not any(lines.values()):
+        placed((), (), running)
     # the thrust axis first: it takes little, and its controller may be the wrong one
-    rest = [
-        _verify_axes(group, other, replace(asked, **_ACROSS), points, (), None, progress)
-        for group, other in others
-    ]
-    found = _verify_axes(own, first, asked, points, measured, running, progress)
-    for thrust in rest:
-        found = found.with_thrust(thrust)
+    found = None
+    for name, (group, other) in reversed(groups.items()):
+        how = asked if group is own else replace(asked, **_ACROSS)
+        by = ran.get(name, (group, None))[1] if lines[group.name] else None
+        one = _verify_axes(group, other, how, points, lines[group.name], by, progress)
+        found = one if found is None else one.with_thrust(found)
+    assert found is not None
     wanted = machine.groups if asked.axes is None else {}
     missing = tuple(f"{name} axis" for name in wanted if name not in groups)
     several = len(machine.groups) > 1
     return replace(found, not_judged=missing, axes=tuple(groups) if several else ())
+
+
+def _allotted(
+    groups: Sequence[Machine],
+    points: Sequence[str | OperatingPoint] | None,
+    measured: Responses,
+) -> dict[str, list[Response]]:
+    """{group's machine: its responses}, by the machine that each names. Raises InvalidInput for
+    those of another machine or point, before anything is computed.
+    """
+    found: dict[str, list[Response]] = {group.name: [] for group in groups}
+    for one in read_responses(measured):
+        found.get(one.machine, found[groups[0].name]).append(one)
+    for group in groups if len(groups) > 1 else ():
+        if items := found[group.name]:
+            plants = full_plants(group) if points is None else [plant_at(group, p) for p in points]
+            placed(plants, items, None)
+    return found
 
 
 def _verify_axes(
