@@ -359,7 +359,7 @@ def load_controller(path: Path, machine: Machine) -> Synthesis:
 
     result = read_controller(path, machine)
     if machine.group == THRUST and result.thrust is not None:
-        result = result.thrust
+        result = replace(result.thrust, file=result.file)
     provenance = result.provenance
     if not provenance.date:  # a table of another program
         dt = result.controller.dt

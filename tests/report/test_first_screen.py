@@ -109,3 +109,52 @@ def test_paper_shows_what_the_screen_folds_but_for_what_is_marked(
         seen = measure(browser, document.write(page, tmp_path / "page.html"), 1400)
         assert seen.words < 200
         assert (seen.printed > 2000) == printed
+
+
+_OVERLAP = """() => [...document.querySelectorAll("tbody tr")].some((row) => {
+  const cells = [...row.cells].map((cell) => {
+    const range = document.createRange();
+    range.selectNodeContents(cell);
+    return range.getBoundingClientRect();
+  });
+  return cells.some((one, i) => i && cells[i - 1].right > one.left);
+})"""
+
+
+@needs("browser")
+def test_a_number_does_not_run_into_its_limit_on_a_phone(
+    machine: Machine, browser: Any, tmp_path: Path
+) -> None:
+    """36.7 1/s stood over its limit of 0 1/s, in columns of 9 % each."""
+    row = ("twice nominal pressure", "Stability", "36.7\u00a01/s", "< 0\u00a01/s", "pole at 46 Hz")
+    table = Table(
+        "Not met", ("at", "what", "value", "limit", "found"), (row,), "", (15, 29, 9, 9, 38)
+    )
+    page = Page("t", machine, (Section("s", tables=(table,)),), signatures=())
+    context = browser.new_context(viewport={"width": 400, "height": 800})
+    shown = context.new_page()
+    shown.goto(document.write(page, tmp_path / "page.html").as_uri())
+    assert not shown.evaluate(_OVERLAP)
+    context.close()
+
+
+@needs("browser")
+def test_paper_holds_nothing_that_acts_on_a_screen_alone(
+    machine: Machine, browser: Any, tmp_path: Path
+) -> None:
+    """A page with the footer alone was printed, a deciding table at half of its width, and closed
+    tables as titles without a word.
+    """
+    table = Table("Limits", ("a", "b"), (("1", "2"),))
+    folded = Section("s", tables=(replace(table, folded=True),))
+    page = Page("t", machine, (folded,), signatures=(), opening=Section("", tables=(table,)))
+    context = browser.new_context(viewport={"width": 700, "height": 900})
+    shown = context.new_page()
+    shown.goto(document.write(page, tmp_path / "page.html").as_uri())
+    shown.emulate_media(media="print")
+    width = "(kind) => document.querySelector(kind).getBoundingClientRect().width"
+    assert shown.evaluate(width, ".opening table") > 0.9 * shown.evaluate(width, "main")
+    assert not shown.locator("footer").is_visible()
+    said = "getComputedStyle(document.querySelector('.section details summary'), '::after').content"
+    assert "not printed" in shown.evaluate(said)
+    context.close()

@@ -19,11 +19,16 @@ import ambrose as amb
 from ambrose.chain.study import Study
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
+from ambrose.core.frequency import frequency_response
+from ambrose.core.sampling import c2d
+from ambrose.core.statespace import select
 from ambrose.judge.checks import OVER_TOLERANCES, Check, Checks, Verification
 from ambrose.judge.controller_file import controller_schema, read_controller, write_controller
 from ambrose.judge.result import pid_synthesis
+from ambrose.law.loop import Timing, running_law
 from ambrose.machine.file.toml import dumps_machine
 from ambrose.record.files import read_record, write_record
+from ambrose.record.response import Path as Quotient, Response
 from ambrose.report.figures.motion import stations
 from ambrose.report.record import record_page
 from ambrose.report.tables import deciding_verdict, unchecked
@@ -101,6 +106,43 @@ def test_all_five_axes_are_judged_as_each_is_alone(folder):
     assert not amb.verify(whole, radial, axial=lost, **options).passed
     with pytest.raises(InvalidInput, match="no thrust bearing; leave it out"):
         amb.verify("seal-rig", radial, axial=axial)
+
+
+def swept(law, dt=5e-5):
+    """T of the thrust axis at rest, on the model itself."""
+    plant = amb.assemble(machine().axial, "rest")
+    held = c2d(select(plant.system, plant.named("u"), plant.named("y")), dt)
+    omega = 2 * np.pi * np.geomspace(1, 4000, 400)
+    G = frequency_response(held, omega).values[:, 0, 0]
+    K = frequency_response(running_law(law, plant, Timing(dt, 1)), omega).values[:, 0, 0]
+    path = Quotient("T", "T_z", "T_z", G * K / (1 + G * K))
+    return Response(plant.machine.name, omega, (path,), plant.point, sample_rate_hz=1 / dt)
+
+
+def test_responses_decide_on_the_axes_that_they_name():
+    """Those of the thrust axis were refused with five axes, after its model had been judged for a
+    minute; a file of both groups as the running controller was taken for its radial axes.
+    """
+    whole = machine()
+    axial = pid_synthesis(amb.assemble(whole.axial, "rest"))
+    both = replace(pid_synthesis(amb.assemble(whole, "rest")), thrust=axial)
+    seen = []
+    options = {"measured": swept(axial), "running": both, "points": ["rest"], "tolerances": False}
+    joint = amb.verify(whole, both, **options)
+    alone = amb.verify(whole, both, axes="thrust", **options)
+    assert [checks.label for checks in joint.points] == ["rest", "thrust: rest, measured"]
+    assert checks_of(alone)["rest, measured"] == checks_of(joint)["thrust: rest, measured"]
+    names = {check.name for check in joint.points[1].checks}
+    assert {"stability.measured", "axial.capacity", "impulse.settling"} <= names
+    for axes, given in (("radial", swept(axial)), (None, replace(swept(axial), machine="other"))):
+        with pytest.raises(InvalidInput, match="the machine of responses 1 is"):
+            options |= {"measured": given, "progress": seen.append}
+            amb.verify(whole, both, axes=axes, **options)
+        assert not seen
+    law = replace(both, thrust=None)
+    with pytest.raises(InvalidInput, match=r"of the radial axes .*without"):
+        amb.simulate(whole.axial, law, "surge", progress=seen.append)
+    assert not seen
 
 
 @pytest.mark.parametrize("kind", ["moving", "synchronous"])

@@ -366,17 +366,20 @@ def trade_off(
     claim(page=output)
     with progress_shown(as_json) as progress:
         result = traded(description, over, wanted, method, progress=progress)
-    heading = over if result.unit == "-" else f"{over} [{result.unit}]"
-    columns = (heading, "sensitivity", "all else met", "tightest requirement")
+    name = over.replace("_", " ").capitalize()
+    heading = name if result.unit == "-" else f"{name} [{result.unit}]"
+    columns = (heading, "Sensitivity peak", "All else met", "Tightest requirement")
     found = tuple(
         (f"{v:.4g}", f"{s:.3g}", "yes" if m else "no", b)
         for v, s, m, b in zip(
             result.values, result.sensitivity, result.met, result.binding, strict=True
         )
     )
+    unit = f" {result.unit}" * (result.unit != "-")
+    ends = [f"{result.sensitivity[k]:.3g} at {result.values[k]:.4g}{unit}" for k in (0, -1)]
     verdict = (
-        f"All other requirements are met at {sum(result.met)} of {len(result.met)} values of "
-        f"{over}."
+        f"Lowest sensitivity peak over {name.lower()}: {ends[0]}, {ends[1]}. All other "
+        f"requirements are met at {sum(result.met)} of {len(result.met)} values."
     )
     failure = None
     if output is not None:
@@ -386,7 +389,11 @@ def trade_off(
         page = Page(
             "What a requirement costs",
             description,
-            (Section("Lowest sensitivity", "", (Figure(f"Against {over}", plot(result)),)),),
+            (
+                Section(
+                    "Lowest sensitivity", "", (Figure(f"Against {name.lower()}", plot(result)),)
+                ),
+            ),
             facts=(("Controller", "tuned anew for every value"),),
             result=Verdict("Result", all(result.met), verdict),
             opening=Section("", tables=(Table("", columns, found),)),
@@ -405,7 +412,7 @@ def trade_off(
         )
     else:
         say_verdict(verdict)
-        print_table(f"lowest sensitivity against {over}", columns, found)
+        print_table(f"lowest sensitivity against {name.lower()}", columns, found)
     if failure is not None:
         raise failure
     sys.exit(0 if all(result.met) else 1)
@@ -523,10 +530,7 @@ def verify(
             description, result.synchronous, loop=result.timing, controller=result.controller
         )
         failure = kept(lambda path: write(blocks, path), page)
-    named = result
-    if path is not None:
-        named = replace(result, controller=f"{path.name}, {result.controller}")
-    failure = kept_page(named, report, description, called="report") or failure
+    failure = kept_page(result, report, description, called="report") or failure
     if as_json:
         say_json({"machine": description.name, **result.to_dict()})
     else:

@@ -53,6 +53,7 @@ from ambrose.record.response import (
     distance,
     noise_beside,
     predicted,
+    readings,
     scale_error,
     usable,
     whole,
@@ -382,11 +383,7 @@ class Problem:
         )
         if far < _FAR and not (factor and alike):
             return None
-        tries = [
-            (distance([(change(path), values) for path, values in items]), words)
-            for words, change in _CORRECTIONS.items()
-            if quantity in "ST" or words != _OTHER
-        ]
+        tries = readings(items)
         for words, other in others:
             pairs = [(other[k][0].values, other[k][1]) for k in places]
             tries.append((distance(pairs), words))
@@ -533,26 +530,6 @@ _NAMES = (
 _UNSTATED = (
     "no noise is stated: the residuals' size weighs every path, the lines' own scatter is its noise"
 )
-_OTHER = "it is the other of S and T: exchange S and T"
-_CORRECTIONS: Mapping[str, Callable[[Path], np.ndarray]] = {
-    "its sign is turned: add sign = -1 to the path, or turn the channel": lambda p: -p.values,
-    _OTHER: lambda p: float(p.read == p.injected) - p.values,
-    "a lag is positive: turn the sign of the phase": lambda p: p.values.conj(),
-    "the gain is absolute, not in dB: state gain in abs": lambda p: (
-        20 * np.log10(np.abs(p.values)) * np.exp(1j * np.angle(p.values))
-    ),
-    "the gain is in dB, not absolute: state gain in dB": lambda p: (
-        10 ** np.minimum(np.abs(p.values) / 20, 20) * np.exp(1j * np.angle(p.values))
-    ),
-    "the gain is in dB and below 1, not absolute: state gain in dB": lambda p: (
-        -(10 ** (-np.abs(p.values) / 20)) * np.exp(1j * np.angle(p.values))
-    ),
-    "the gain is 10 log10: double it": lambda p: p.values * np.abs(p.values),
-    "the gain is 40 log10: halve it": lambda p: p.values / np.sqrt(np.abs(p.values)),
-    "the phase is in radians, not degrees: state phase in rad": lambda p: (
-        np.abs(p.values) * np.exp(1j * np.degrees(np.angle(p.values)))
-    ),
-}
 
 
 # A resonance that nothing models: what a common pole explains, in all paths together, of what the

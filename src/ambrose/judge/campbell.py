@@ -48,6 +48,7 @@ PLANAR = 0.1
 # a damping ratio below this counts as a mode that can ring: at 1/sqrt(2) and above the response of
 # a second-order system has no resonance peak
 OSCILLATORY = 0.7071067811865476
+ONCE = "once per revolution"  # the line of the speed itself in a map
 _LISTED = 5  # least damped modes of the standard's range that a detail lists
 _NAMED = 4  # unstable poles that a detail names
 _ROUNDING = 1e-9  # relative, so that the mode that sets a limit lies within it
@@ -376,7 +377,7 @@ def campbell_curves(diagram: CampbellMap) -> list[Curve]:
             "speed",
             diagram.speeds,
             lines,
-            (*names, "once per revolution"),
+            (*names, ONCE),
             "rad/s",
             "rad/s",
         ),

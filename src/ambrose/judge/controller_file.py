@@ -64,7 +64,7 @@ from ambrose.machine.ordinary_file import (
     write_text,
 )
 from ambrose.machine.part import PidSettings, Synchronous
-from ambrose.machine.units import quoted
+from ambrose.machine.units import one_line, quoted
 from ambrose.machine.validation.controller import synchronous_problems
 from ambrose.record.apart import tree_of
 from ambrose.version import __version__
@@ -358,21 +358,24 @@ def read_controller(
     if machine is not None and machine.axes:
         stated = {DEFAULT_AXES: machine.axes, **stated}
     try:
-        if suffix == ".mat":
-            return _imported(mat_table(tree_of(Path(path))), machine, stated)
-        text = read_text(path, "controller file", CONTROLLER_BYTES)
-        content = csv_table(text) if suffix == ".csv" else _content(text)
-        if (
-            isinstance(content, dict)
-            and not {"format", "provenance"} & {*content}
-            and is_table(content)
-        ):
-            return _imported(content, machine, stated)
-        return _placed(_restated(_both(_parse(content)), stated), machine)
+        return replace(_read(path, suffix, machine, stated), file=one_line(Path(path).name))
     except InvalidInput as error:
         raise InvalidInput(
             f"controller file {path}: {str(error).removeprefix(f'{path}: ')}"
         ) from error
+
+
+def _read(
+    path: str | Path, suffix: str, machine: Machine | None, stated: Mapping[str, Any]
+) -> Synthesis:
+    if suffix == ".mat":
+        return _imported(mat_table(tree_of(Path(path))), machine, stated)
+    text = read_text(path, "controller file", CONTROLLER_BYTES)
+    content = csv_table(text) if suffix == ".csv" else _content(text)
+    foreign = isinstance(content, dict) and not {"format", "provenance"} & {*content}
+    if foreign and is_table(content):
+        return _imported(content, machine, stated)
+    return _placed(_restated(_both(_parse(content)), stated), machine)
 
 
 def _imported(

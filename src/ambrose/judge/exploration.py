@@ -346,7 +346,7 @@ class Exploration(Presented):
     found over the tolerances and an upper bound. standing: stability at the
     operating points and along the speed range, as judged, whatever the parts. assumed: where the
     loop would be lost at the rate that rig and export assume, as nobody states one. notes: how each
-    was computed; timing: of the loop, in words.
+    was computed; timing: of the loop, in words; controller: what a page calls it.
     """
 
     machine: Machine
@@ -360,6 +360,7 @@ class Exploration(Presented):
     standing: tuple[Stability, ...] = ()
     assumed: tuple[Stability, ...] = ()
     notes: tuple[str, ...] = ()
+    controller: str = ""
 
     @property
     def stable(self) -> bool:
@@ -478,6 +479,7 @@ def explore(
         "continuous" if timing is None else str(timing),
         standing=standing,
         assumed=lost_as_assumed(machine, law, timing, standing),
+        controller=law.named,
     )
     if "poles" in parts:
         done = replace(done, maps=tuple(_maps(machine, law, timing, at, reach, notes, progress)))

@@ -55,6 +55,7 @@ from ambrose.record.response import (
     cubic,
     distance,
     predicted,
+    readings,
     scale_error,
     scatter,
     usable,
@@ -75,6 +76,8 @@ _OUTSIDE = 1e-7  # of the circle outside the unit circle: an integrator counts a
 _ALIKE = 0.8  # of the largest singular value, from which others move with it
 _RAN = 0.05  # by which a path may be off what the others and the running controller make
 _NOTHING = 1e-9  # of the largest entry of a controller
+_NEAR_ONE = 0.3  # of the closed loop, about 1: displacement per excitation is then K^-1
+_MISREAD, _NEARER = 0.05, 3.0  # off the model, and so much nearer as another sign or unit reads it
 _OTHER = 0.3  # by which the plant may be off the machine file's
 _BEYOND = 0.5  # loop gain that the model may have beyond the last line: half of what turns anything
 
@@ -720,24 +723,42 @@ class _Model:
         return float(gain.max()), float(omega[high[-1]] if high.size else last)
 
 
-def refuse_scales(
+def refuse_misread(
     response: Response, axes: Sequence[str], G: np.ndarray, K_run: np.ndarray
 ) -> np.ndarray:
     """Y (w, a, a) that the model's G and K_run (w, a, a) make. Raises InvalidInput where a path is
-    several times what they make.
+    several times what they make, or a quantity is near them only as another sign, unit or phase
+    reads it.
     """
     few = evenly(response.omega)
     Y = np.linalg.inv(np.eye(len(axes)) + G @ K_run) @ G
+    unity = np.abs(np.einsum("wij,wji->wi", Y, K_run) - 1)[few] < _NEAR_ONE
+    none, every = np.zeros((0, *Y.shape)), whole(response, axes)
+    groups: dict[tuple[str, str], list[tuple[Path, np.ndarray]]] = {}
     for path in response.paths:
-        if path.read == path.injected:
-            none = np.zeros((0, *Y.shape))
-            made = predicted(path, axes, Y, none, K_run, whole(response, axes))[0]
-            factor = scale_error(replace(path, values=path.values[few]), made[few])
-            if factor is not None:
+        made = predicted(path, axes, Y, none, K_run, every)[0][few]
+        groups.setdefault((path.quantity, path.at), []).append(
+            (replace(path, values=path.values[few], variance=None), made)
+        )
+    for (quantity, _), items in groups.items():
+        far, (best, words) = (
+            distance([(path.values, made) for path, made in items]),
+            min(readings(items)),
+        )
+        for path, made in items:
+            near = unity[:, axes.index(path.read)] if quantity == "motion" else None
+            factor = scale_error(path, made, near) if path.read == path.injected else None
+            if factor is not None and distance([(path.values / factor, made)]) < best:
                 raise InvalidInput(
                     f"{path.name} is about {factor:.2g} times what the machine file and the "
                     "running controller make; correct its scale, or give the controller that ran"
                 )
+        if far > _MISREAD and best * _NEARER < far:
+            what, remedy = words.split(": ")
+            raise InvalidInput(
+                f"{quantity} as stated is {far:.0%} off what the machine file and the running "
+                f"controller make, and {best:.0%} where {what}; {remedy}"
+            )
     return np.asarray(Y)
 
 
@@ -762,7 +783,7 @@ def _refuse_others(
     """
     omega, modelled = response.omega, model.plant(response.omega)
     few = evenly(omega)
-    closed = refuse_scales(response, axes, modelled, K_run)
+    closed = refuse_misread(response, axes, modelled, K_run)
     lines = next(iter(parts.values()))
     if lines.X.shape[1] < len(axes):
         # G_a = (1/Y_aa - k_a)^-1, the other loops closed
@@ -866,17 +887,23 @@ def _checks(
     checks, curves = [stability], []
     if not whole:
         missing = [axis for axis in plant.axes if axis not in axes]
-        reason = (
-            "each by itself, the largest singular value is unknown; sweep every axis while all "
-            "displacements are recorded"
-        )
+        reason = "each by itself"
         if missing:
-            reason = (
-                f"not told: {', '.join(missing)}, which the changed axis couples with; {reason}"
-            )
+            reason = f"not told: {', '.join(missing)}, which the changed axis couples with"
         wanted = Demand(float(len(plant.axes)), ">=", "")
         title = "Axes whose sensitivity the responses tell"
         checks.append(judge("sensitivity.told", title, float(len(axes)), "-", wanted, reason))
+        checks.append(
+            judge(
+                "sensitivity.output.max",
+                f"Peak output sensitivity, {ALL_AXES}",
+                np.nan,
+                "-",
+                demand("maximum singular value of a sensitivity", requirements),
+                "not measured between the axes; sweep every axis while all displacements are "
+                "recorded",
+            )
+        )
     limit = demand("maximum singular value of a sensitivity", requirements).limit
     for name, row, radius, expected in zip(named, rows, radii, others, strict=True):
         rule = (
@@ -954,18 +981,23 @@ def _notes(lines: Lines, judged: Judged, valid: Agreement) -> tuple[str, ...]:
     )
 
 
+def read_responses(responses: Responses) -> list[Response]:
+    """One or several, each read where it is a file. Raises InvalidInput."""
+    items = [responses] if isinstance(responses, Response | str | File) else list(responses)
+    return [item if isinstance(item, Response) else read_response(item) for item in items]
+
+
 def placed(
     plants: Sequence[Plant], responses: Responses, running: LawLike | None
 ) -> dict[int, Response]:
     """Which responses are of which plant, by its number. Raises InvalidInput for responses of
     another machine, of no operating point among these, and of the same.
     """
-    items = [responses] if isinstance(responses, Response | str | File) else list(responses)
+    items = read_responses(responses)
     if running is not None and not items:
         raise InvalidInput("a running controller is given without responses; add them (--measured)")
     places: dict[int, Response] = {}
-    for number, item in enumerate(items, 1):
-        one = item if isinstance(item, Response) else read_response(item)
+    for number, one in enumerate(items, 1):
         name = plants[0].machine.name
         if one.machine != name:
             what, remedy = f"the machine of responses {number}", "take that machine's file"

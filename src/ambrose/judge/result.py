@@ -391,7 +391,8 @@ class Synthesis(Presented, Law):
     the design problem (None where there is none). filters: the [controller] that gives the same
     controller by method "pid" (None: none does). synchronous: the blocks that reject the
     unbalance's signal, beside the controller. thrust: the same of the thrust axis, of a machine
-    that has both groups of axes. By default, a controller from elsewhere that nothing was shown of.
+    that has both groups of axes. file: the name of the file that it was read from ("": of none).
+    By default, a controller from elsewhere that nothing was shown of.
 
     Two are equal when all they say is equal, whatever file they come from. Raises InvalidInput for
     an unknown status, or for "verified" without a certificate that says stable.
@@ -411,6 +412,7 @@ class Synthesis(Presented, Law):
     filters: PidSettings | None = None
     synchronous: tuple[Synchronous, ...] = ()
     thrust: Synthesis | None = None
+    file: str = ""
 
     def __post_init__(self) -> None:
         if self.status not in list(Status):
@@ -498,8 +500,8 @@ class Synthesis(Presented, Law):
 
     @property
     def named(self) -> str:
-        """Its method and digest."""
-        return f"{self.method}, SHA-256 {self.digest}"
+        """Its file, method and digest: what the head of every page calls it."""
+        return ", ".join(filter(None, (self.file, self.method, f"SHA-256 {self.digest}")))
 
     def to_control(self) -> Any:
         """The controller as a python-control system."""

@@ -31,7 +31,7 @@ from ambrose.judge.checks import (
     required_line,
 )
 from ambrose.judge.loop_response import solid_cores
-from ambrose.judge.measured import Responses, check_measured, placed
+from ambrose.judge.measured import Responses, check_measured, placed, read_responses
 from ambrose.judge.plants import (
     Progress,
     full_plants,
@@ -62,6 +62,7 @@ from ambrose.model.effect import pressure_knots, speed_knots
 from ambrose.model.plant import Plant, beyond_top_speed
 from ambrose.model.uncertainty import default_bending_modes, not_varied, reduce, tolerances_around
 from ambrose.options import Verifying
+from ambrose.record.response import Response
 
 # Verification between operating points: a range of speeds and pressures, gridded as finely as the
 # loop changes.
@@ -320,18 +321,40 @@ def verify_controller(
     (own, first), *others = groups.values()
     if points is None:
         refuse_motion(own, first, asked)
+    lines = _allotted([own, *(group for group, _ in others)], points, measured)
+    ran = {} if running is None else laws_of(machine, law_of(running), axes=asked.axes)
+    if running is not None and not any(lines.values()):
+        placed((), (), running)
     # the thrust axis first: it takes little, and its controller may be the wrong one
-    rest = [
-        _verify_axes(group, other, replace(asked, **_ACROSS), points, (), None, progress)
-        for group, other in others
-    ]
-    found = _verify_axes(own, first, asked, points, measured, running, progress)
-    for thrust in rest:
-        found = found.with_thrust(thrust)
+    found = None
+    for name, (group, other) in reversed(groups.items()):
+        how = asked if group is own else replace(asked, **_ACROSS)
+        by = ran.get(name, (group, None))[1] if lines[group.name] else None
+        one = _verify_axes(group, other, how, points, lines[group.name], by, progress)
+        found = one if found is None else one.with_thrust(found)
+    assert found is not None
     wanted = machine.groups if asked.axes is None else {}
     missing = tuple(f"{name} axis" for name in wanted if name not in groups)
     several = len(machine.groups) > 1
     return replace(found, not_judged=missing, axes=tuple(groups) if several else ())
+
+
+def _allotted(
+    groups: Sequence[Machine],
+    points: Sequence[str | OperatingPoint] | None,
+    measured: Responses,
+) -> dict[str, list[Response]]:
+    """{group's machine: its responses}, by the machine that each names. Raises InvalidInput for
+    those of another machine or point, before anything is computed.
+    """
+    found: dict[str, list[Response]] = {group.name: [] for group in groups}
+    for one in read_responses(measured):
+        found.get(one.machine, found[groups[0].name]).append(one)
+    for group in groups if len(groups) > 1 else ():
+        if items := found[group.name]:
+            plants = full_plants(group) if points is None else [plant_at(group, p) for p in points]
+            placed(plants, items, None)
+    return found
 
 
 def _verify_axes(
@@ -366,7 +389,10 @@ def _verify_axes(
         progress(f"judging on the responses of {within[k].point.label}")
         by_lines.append(check_measured(within[k], response, law, running, timing))
     modelled = [plant for k, plant in enumerate(within) if k not in places]
-    checks = verify_points(modelled, law, progress, timing)
+    # together: along the speed once for every pressure
+    every = verify_points([*(within[k] for k in sorted(places)), *modelled], law, progress, timing)
+    by_lines = [_with_model(*pair) for pair in zip(by_lines, every, strict=False)]
+    checks = every[len(by_lines) :]
     boxes: tuple[Checks, ...] = ()
     if asked.tolerances:
         boxes = verify_tolerances(
@@ -384,7 +410,11 @@ def _verify_axes(
             for item in proof.prove(whole, law, checks, timing, asked, progress)
         )
     blocks = () if whole is None else verify_synchronous(whole, law, asked, progress)
-    still = tuple(words for plant in modelled for words in not_varied(plant))
+    still = tuple(words for plant in modelled for words in not_varied(plant)) + tuple(
+        f"{within[k].point.label}: its responses were measured"
+        for k in sorted(places)
+        if tolerances_around(within[k])
+    )
     return Verification(
         checks,
         boxes,
@@ -402,6 +432,29 @@ def _verify_axes(
         ),
         between=_between(law, within, checks),
     )
+
+
+_TOLD = ("stability.abscissa", "sensitivity.", "complementary.", "margin.")  # by responses
+
+
+def _with_model(lines: Checks, model: Checks) -> Checks:
+    """Checks on measured responses, and of the model what these do not tell: unbalance, currents,
+    settling, damping, the controller's own limits.
+    """
+    if not lines.stable:
+        return lines
+    if not model.stable:
+        why = "the model of this point is unstable; identify the machine from these responses"
+        title = "Requirements that the responses do not tell, by the model"
+        none = Demand(0.0, "<", "stability of the model")
+        growth = model["stability.abscissa"].value
+        return replace(
+            lines,
+            checks=(*lines.checks, judge("model.abscissa", title, growth, "rad/s", none, why)),
+        )
+    rest = tuple(check for check in model.checks if not check.name.startswith(_TOLD))
+    curves = tuple(curve for curve in model.curves if not curve.name.startswith(_TOLD))
+    return replace(lines, checks=(*lines.checks, *rest), curves=(*lines.curves, *curves))
 
 
 def verify_points(

@@ -108,6 +108,7 @@ def laws_of(
     laws = {RADIAL: law, THRUST: law.thrust if along is None else along}
     if machine.group == THRUST:
         laws = {THRUST: law.thrust or law}
+        check_side(laws[THRUST].inputs, machine)
     return {
         name: (group, known)
         for name, group in groups.items()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path as File
 from typing import Any
@@ -304,14 +304,16 @@ def distance(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> float:
     return float(np.median(apart / np.maximum(size, 1e-300)))
 
 
-def scale_error(path: Path, values: np.ndarray) -> float | None:
+def scale_error(path: Path, values: np.ndarray, near_one: np.ndarray | None = None) -> float | None:
     """The factor by which a path is larger than modelled values (w,), where one factor brings it
-    much nearer; None: none does. S and T by the lines at which they are near 1, whatever K_i is.
+    much nearer; None: none does. near_one (w,): where the closed loop is near 1 (None: told by S
+    and T themselves), so that what is measured is known whatever K_i is.
     """
     x, v = path.values, values
-    near_one = np.abs(v - 1) < _LIMIT
+    if near_one is None:
+        near_one = np.abs(v - 1) < _LIMIT if path.quantity in "ST" else np.zeros(len(v), bool)
     known = path.quantity == "K"
-    if path.quantity in "ST" and near_one.sum() >= _LIMIT_LINES:
+    if near_one.sum() >= _LIMIT_LINES:
         x, v, known = x[near_one], v[near_one], True
     if not v.all():
         return None
@@ -319,6 +321,42 @@ def scale_error(path: Path, values: np.ndarray) -> float | None:
     if abs(np.log(factor)) < np.log(_SCALE if known else _SCALE_OF_PLANT):
         return None
     return factor if _NEARER * distance([(x / factor, v)]) < distance([(x, v)]) else None
+
+
+# What a file may say wrongly of its numbers: what it is, and what to write; the values meant.
+
+OTHER = "it is the other of S and T: exchange S and T"
+CORRECTIONS: Mapping[str, Callable[[Path], np.ndarray]] = {
+    "its sign is turned: add sign = -1 to the path, or turn the channel": lambda p: -p.values,
+    OTHER: lambda p: float(p.read == p.injected) - p.values,
+    "a lag is positive: turn the sign of the phase": lambda p: p.values.conj(),
+    "the gain is absolute, not in dB: state gain in abs": lambda p: (
+        20 * np.log10(np.abs(p.values)) * np.exp(1j * np.angle(p.values))
+    ),
+    "the gain is in dB, not absolute: state gain in dB": lambda p: (
+        10 ** np.minimum(np.abs(p.values) / 20, 20) * np.exp(1j * np.angle(p.values))
+    ),
+    "the gain is in dB and below 1, not absolute: state gain in dB": lambda p: (
+        -(10 ** (-np.abs(p.values) / 20)) * np.exp(1j * np.angle(p.values))
+    ),
+    "the gain is 10 log10: double it": lambda p: p.values * np.abs(p.values),
+    "the gain is 40 log10: halve it": lambda p: p.values / np.sqrt(np.abs(p.values)),
+    "the phase is in radians, not degrees: state phase in rad": lambda p: (
+        np.abs(p.values) * np.exp(1j * np.degrees(np.angle(p.values)))
+    ),
+}
+
+
+def readings(items: Sequence[tuple[Path, np.ndarray]]) -> list[tuple[float, str]]:
+    """How far paths of one quantity are from modelled values (w,) as each of ``CORRECTIONS`` reads
+    them, by ``distance``.
+    """
+    quantity = items[0][0].quantity
+    return [
+        (distance([(change(path), values) for path, values in items]), words)
+        for words, change in CORRECTIONS.items()
+        if quantity in "ST" or words != OTHER
+    ]
 
 
 # What the lines themselves tell of their noise, and up to where a model agrees with them.

@@ -31,6 +31,7 @@ from ambrose.identification.validation.plausibility import Agreement
 from ambrose.identification.validation.repeatability import Repeats, SimulatedOutput
 from ambrose.identification.youla import ResidualIdentification
 from ambrose.judge.checks import Curve
+from ambrose.law.law import law_of
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import TIMING, parse_parameter
 from ambrose.record.record import Record
@@ -1299,12 +1300,13 @@ def _facts(checked: LoopIdentification) -> tuple[tuple[str, str], ...]:
     rates = [theme.number(piece.record.sample_rate_hz, 6) for piece in checked.outputs[:1]]
     what = f" ({', '.join(spans)} at {rates[0]} Hz)" if rates else " (frequency responses)"
     delay, modes = checked.computing_delay, checked.bending_modes
+    law = law_of(checked.controller, functions=False)
     return (
         (
             "Records",
             f"{', '.join(checked.provenance.records) or len(spans)}{what}",
         ),
-        ("Controller", checked.provenance.controller),
+        ("Controller", law.named if law.digest else checked.provenance.controller),
         ("Operating point", result.point.label),
         ("Seal pressure", theme.quantity(result.point.seal_pressure, "Pa")),
         ("Speed", f"{theme.number(result.point.speed * theme.RPM, 4)} rpm"),

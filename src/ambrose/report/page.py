@@ -34,7 +34,7 @@ from ambrose.version import __version__
 # Grounds of the cells of a map, on white and on dark paper; blue-green against orange is told apart
 # by colour-blind readers.
 SHADES = {
-    "meets-1": ("#74c4b1", "#1f7a66"),
+    "meets-1": ("#74c4b1", "#1d7161"),
     "meets-2": ("#a9dccf", "#1b5f51"),
     "meets-3": ("#d5efe8", "#17463d"),
     "fails-1": ("#fbe0ba", "#5e4a1c"),

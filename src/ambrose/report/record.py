@@ -723,7 +723,7 @@ def _facts(record: Record, speed: np.ndarray) -> tuple[tuple[str, str], ...]:
         ("Speed", f"{rpm[0]} to {rpm[1]} rpm" if changes else f"{rpm[0]} rpm"),
         ("Seal pressure", _pressure(record)),
         *(
-            (key.replace("_", " "), text)
+            (f"{key[:1].upper()}{key[1:]}".replace("_", " "), text)
             for key, text in record.notes
             if key not in {"outcome", "complete", "scenario"}
         ),

@@ -223,6 +223,7 @@ INK = "#1c2329"
 MUTED = "#66717b"
 FAINT = "#e4e8eb"
 LIMIT = "#a3341f"
+RIGHT = 18  # [px], the margin of a figure without names at its right
 FONT = "Helvetica Neue, Helvetica, Arial, Liberation Sans, sans-serif"
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#000000", "#cc79a7", "#56b4e9", "#e69f00")
@@ -332,7 +333,7 @@ def dress(figure: Any, height: int, *, legend: bool, lines: int = 0) -> Any:
         figure.layout.template = _template()
     figure.update_layout(
         height=height + top + 48,
-        margin={"l": 62, "r": 18, "t": top, "b": 48},
+        margin={"l": 62, "r": RIGHT, "t": top, "b": 48},
         meta={"room": room},
         separators=".\u202f",
         font={"family": FONT, "size": 13, "color": INK},

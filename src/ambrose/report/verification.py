@@ -34,8 +34,8 @@ _BY_NAME = {
     "unbalance current": "Peaks approach the amplifier's limit at critical speeds.",
     "unbalance": "Peaks are critical speeds; they stay below the limit over the speed range.",
     "margin loop": "Stability margins are read where the curve passes 1.",
-    "campbell": "Crossings with the 1× line are critical speeds. Solid: forward or planar whirl, "
-    "dashed: backward.",
+    "campbell": "Crossings with the dotted line, once per revolution, are critical speeds. Solid: "
+    "forward or planar whirl, dashed: backward.",
     "current": "Above the amplifier's limit the linear result is not valid.",
     "displacement": "The motion settles and stays within the touchdown gap.",
 }
@@ -400,14 +400,13 @@ def synchronous_page(
 
 
 _POLES = (
-    "Left: poles of the closed loop, coloured by the value (circles); right of the line at zero "
-    "the loop is unstable. Right: "
-    "the largest real part of all poles over the value; where it passes zero, stability ends "
-    "(dashed, by bisection)."
+    "Left: poles of the closed loop, coloured by {over}; right of the line at zero the loop is "
+    "unstable. Right: the largest real part of all poles over {over}; where it passes zero, "
+    "stability ends (dashed, by bisection)."
 )
 _CAMPBELL = (
     "Damped natural frequencies of the closed loop over speed, every mode followed by its shape, "
-    "and their damping."
+    "and their damping. Crossings with the dotted line, once per revolution, are critical speeds."
 )
 _PULSES = (
     "Every member of the tolerances (nominal, corners, samples) after 100 N for 2 ms at {port}. "
@@ -420,6 +419,7 @@ _UNBALANCE = (
     "over the tolerances. Found by search; the upper bound, if requested, is proved at these "
     "speeds."
 )
+_BAR = 0.24  # of the width, between the two pictures: the bar, its numbers, the right one's axis
 _SCALE = ((0.0, "#56b4e9"), (0.5, "#009e73"), (1.0, "#d55e00"))
 _BAND, _HEIGHT_EXPLORATION = "rgba(130,89,174,0.25)", 190
 
@@ -431,7 +431,11 @@ def exploration_page(exploration: Exploration, *, date: str = "") -> Page:
         title = f"Poles over {item.over}"
         sections.append(
             Section(
-                title, "", (Figure(title, pole_picture(item), _POLES),), (_ends(item),), folded=True
+                title,
+                "",
+                (Figure(title, pole_picture(item), _POLES.format(over=item.over)),),
+                (_ends(item),),
+                folded=True,
             )
         )
     if exploration.campbell:
@@ -471,6 +475,7 @@ def exploration_page(exploration: Exploration, *, date: str = "") -> Page:
         whole = bool(exploration.pulses.stable.all())
         verdicts.append(Verdict("Members of the tolerances", whole, _members(exploration.pulses)))
     facts = (
+        ("Controller", exploration.controller),
         ("Operating point", exploration.point.label),
         ("Loop", timing_in_words(exploration.timing)),
         ("How", theme.prose(tables.capitalised(exploration.notes, ". ", ""))),
@@ -534,7 +539,7 @@ def _ends(item: PoleMap) -> Table:
 
 def pole_picture(item: PoleMap) -> Any:
     """The poles coloured by value, and the largest real part over the value."""
-    picture = theme.subplots(rows=1, cols=2, column_widths=[0.58, 0.42], horizontal_spacing=0.16)
+    picture = theme.subplots(rows=1, cols=2, column_widths=[0.6, 0.4], horizontal_spacing=_BAR)
     factor, unit = theme.scale(item.unit, float(item.values.max()))
     x = np.concatenate([p.real for p in item.poles])
     y = np.concatenate([p.imag for p in item.poles]) / theme.TWO_PI
@@ -544,7 +549,9 @@ def pole_picture(item: PoleMap) -> Any:
     bar = {
         "title": {"text": f"[{unit}]", "side": "top"},
         "thickness": 10,
-        "x": 0.5,
+        "x": 0.6 * (1 - _BAR)
+        + 0.01,  # beside the left picture, clear of the title of the right one
+        "xanchor": "left",
         "len": 0.9,
         "outlinewidth": 0,
     }
@@ -585,7 +592,9 @@ def pole_picture(item: PoleMap) -> Any:
     picture.add_vline(x=0, row=1, col=1, line={"color": theme.LIMIT, "width": 1})
     picture.add_hline(y=0, row=1, col=2, line={"color": theme.LIMIT, "width": 1})
     picture.update_xaxes(title_text="Real part [1/s]", range=[-reach, right], **first)
-    picture.update_yaxes(title_text="Imaginary part [Hz]", **first)
+    top = float(y[x >= -reach].max()) or 1.0
+    heights = [-0.05 * top, 1.1 * top]
+    picture.update_yaxes(title_text="Imaginary part [Hz]", range=heights, **first)
     picture.update_xaxes(title_text=f"{item.over.capitalize()} [{unit}]", **second)
     picture.update_yaxes(title_text="Largest real part [1/s]", **second)
     return picture

@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Self
 
+from ambrose.core.checks import InvalidInput
 from ambrose.options import AsItRuns, Rules, count, option, percent, positive
 from ambrose.registry import registered, resolve
 
@@ -545,6 +546,8 @@ class Tuned(Method):
         from ambrose.judge.measured import measured_plant, placed
         from ambrose.judge.plants import envelope_of
         from ambrose.judge.result import full_plant_margins
+        from ambrose.law.law import law_of
+        from ambrose.law.loop import laws_of
         from ambrose.law.pid import first_settings, pid_controller
         from ambrose.synthesis.fixed_order.tuning import tune_controller
         from ambrose.synthesis.hinf import direct_gain_mismatch
@@ -553,7 +556,10 @@ class Tuned(Method):
         start = machine.reference or first_settings(machine)
         reference = pid_controller(start, machine)
         plants, timing = envelope_of(plant), self.timing()
-        running = None if self.running is None else read_controller(self.running).law
+        running = None
+        if self.running is not None:
+            law = law_of(read_controller(self.running, machine))
+            running = laws_of(machine, law)[machine.group][1]
         places = placed(plants, self.measured, running)
         result = tune_controller(
             plants,
@@ -585,13 +591,19 @@ def as_measured(
     timing: Timing | None,
 ) -> Synthesis:
     """A synthesis judged on the plant that was measured at an operating point as well: what fails
-    there counts as missed, with a note each; unstable there is unstable.
+    there, or is not told, counts as missed, with a note each; unstable there is unstable.
     """
-    from ambrose.judge.measured import check_measured
+    from ambrose.judge.measured import MEASURED, check_measured
     from ambrose.judge.result import Status
 
-    checks = check_measured(plant, response, result.controller, running, timing)
     margins, notes = dict(result.certificate.margins), list(result.notes)
+    try:
+        checks = check_measured(plant, response, result.controller, running, timing)
+    except InvalidInput as error:  # they told the loop that ran, and not this one
+        margins["unmet_checks"] = margins.get("unmet_checks", 0.0) + 1
+        notes.append(f"{plant.point.label}{MEASURED}: {error}")
+        certificate = replace(result.certificate, margins=margins)
+        return replace(result, certificate=certificate, notes=tuple(notes))
     status = result.status if checks.stable else Status.UNSTABLE
     for check in checks.checks:
         if check.name == "sensitivity.output.max":

@@ -13,6 +13,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine.file.toml import dumps_machine, load_machine, loads_machine
 from ambrose.machine.part import Magnet
 from ambrose.model.effects.magnet import force, linearised, parameters
+from ambrose.report.page import page_of
 
 BLOWER = load_machine("overhung-blower")
 EIGHT = Magnet("heteropolar", 59.5, 950e-6, 0.5e-3)
@@ -97,7 +98,13 @@ def test_the_command(tmp_path):
     assert sheet["force_at_full_modulation_0p"] == pytest.approx(k_i * i_0, rel=1e-9)
     assert sheet["force_per_current_left"] == pytest.approx(0.5, rel=1e-9)
     assert 0.05 < sheet["linearity_zeta"]["largest_error"] < 0.15
-    assert "Error of the straight law" in page.read_text(encoding="utf-8")
+    assert "Error of the linear law" in page.read_text(encoding="utf-8")
+    found = amb.magnet_sheets(BLOWER)
+    shown = page_of(found)
+    (table,) = shown.opening.tables  # which had no verdict and no table that decides
+    assert [row[0] for row in table.rows] == list(found.bearings)
+    worst = max(item.worst for item in found.sheets[0].maps)
+    assert f"off by at most {100 * worst:.3g} %" in shown.result.text
     with pytest.raises(InvalidInput, match="no magnet of"):
         amb.magnet_sheets(load_machine("turboexpander"))
     with pytest.raises(InvalidInput, match="there is no bearing"):

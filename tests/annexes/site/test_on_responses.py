@@ -16,8 +16,10 @@ from ambrose.annexes.site.retuning import at_point
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.controller_file import write_controller
+from ambrose.machine.description import OperatingPoint
 from ambrose.record.response_files import write_response
 from ambrose.report.page import render
+from ambrose.synthesis.methods import as_measured
 from analyser import Truth, matrices
 
 MACHINE, RATE = "seal-rig", 1e4
@@ -64,6 +66,7 @@ def test_the_accepted_sensitivity_holds_the_true_one(kind, options):
     assert "margin.phase.output.A_zeta" in checks and checks["sensitivity.told"].passed is not False
     if options.get("diagonal"):
         assert "not measured between" in checks["sensitivity.output.max"].detail
+        assert checks["sensitivity.output.max"].passed is False  # the file limits it
     else:
         assert loop.low.max() - 1e-9 <= sigma <= 1.05 * loop.high.max()
     json.dumps(done.to_dict(), allow_nan=False)
@@ -192,3 +195,16 @@ def test_responses_of_another_rate_are_refused_wherever_they_are_judged(tmp_path
         amb.design(machine(), "tuned", rate=2e4, measured=[file], running=ran)
     with pytest.raises(InvalidInput, match=r"take 10000 Hz"):
         amb.verify(machine(), law(), measured=[file], running=law(), rate=2e4)
+
+
+def test_a_design_that_the_responses_do_not_tell_is_kept(monkeypatch):
+    """After minutes of search it was refused, and nothing was written."""
+
+    def untold(*words):
+        raise InvalidInput("the responses do not show whether it is stable; sweep closer")
+
+    monkeypatch.setattr("ambrose.judge.measured.check_measured", untold)
+    plant, response = SimpleNamespace(point=OperatingPoint(label="cold")), swept()
+    done = as_measured(amb.design(machine(), "pid"), plant, response, None, None)
+    assert done.missed and done.status == "verified"
+    assert done.notes[-1].startswith("cold, measured: the responses do not show")

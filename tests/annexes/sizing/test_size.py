@@ -14,7 +14,13 @@ import ambrose as amb
 from ambrose import InvalidInput, NumericalFailure
 from ambrose.annexes.sizing import least as guarantee, least as mapped
 from ambrose.annexes.sizing.least import Least, Size, least, price
-from ambrose.annexes.sizing.page import sizing_page
+from ambrose.annexes.sizing.page import (
+    contour_caption,
+    contour_figure,
+    cost_figure,
+    costs_caption,
+    sizing_page,
+)
 from ambrose.cli import main
 from ambrose.report.page import render
 from ambrose.synthesis.methods import Tuned
@@ -157,6 +163,31 @@ def test_a_failed_design_is_a_row_with_its_reason(monkeypatch):
 def test_refusals(arguments, words):
     with pytest.raises(InvalidInput, match=words):
         amb.size(rig(), **arguments)
+
+
+@pytest.mark.parametrize(
+    ("peaks", "promised"),
+    [((1.5, 1.6, 1.7, 2.0), "its limit 3 is not reached"), ((2.0, 2.5, 3.5, 4.0), "in red")],
+)
+def test_the_figures_draw_what_their_captions_promise(peaks, promised):
+    """Lines of S_o were drawn around the limit alone, also where no value was near it."""
+    knee = sizing().knee
+    trials = tuple(
+        replace(trial, sensitivity=s, ratios={"sensitivity": s / 3}, synthesis=knee.synthesis)
+        for trial, s in zip(sizing().trials, peaks, strict=True)
+    )
+    found = replace(sizing(), trials=trials)
+    drawn = [
+        t for t in contour_figure(found).data if t.type == "contour" and t.line.dash == "solid"
+    ]
+    inside = [t.contours.start for t in drawn]
+    assert len(inside) >= 3 and all(min(peaks) < level < max(peaks) for level in inside)
+    assert (3.0 in inside) == (promised == "in red")
+    assert promised in contour_caption(found)
+    kinds = {t.marker.symbol for t in cost_figure(found).data if t.mode == "markers" and len(t.x)}
+    assert ("Cross" in costs_caption(found)) == ("x-thin" in kinds)
+    lines = [t for t in cost_figure(found).data if t.mode == "lines"]
+    assert ("The line" in costs_caption(found)) == bool(lines)
 
 
 def test_the_page_and_the_command(tmp_path, monkeypatch):

@@ -11,13 +11,19 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
+from ambrose.judge.campbell import ONCE, CampbellMap, campbell_curves
 from ambrose.judge.checks import Checks, Curve
+from ambrose.machine.file.toml import load_machine
 from ambrose.machine.machine import Machine
 from ambrose.machine.part import Disc
 from ambrose.report import theme
 from ambrose.report.figures import curves as plots
 from ambrose.report.figures.curves import pole_figure
-from ambrose.report.figures.rotor_drawing import equivalent_cylinder, rotor_drawing
+from ambrose.report.figures.rotor_drawing import (
+    equivalent_cylinder,
+    machine_drawing,
+    rotor_drawing,
+)
 
 TWO_PI = 2 * np.pi
 
@@ -282,3 +288,28 @@ def test_a_disc_is_the_cylinder_with_its_mass_and_inertias() -> None:
 def test_shapes_of_the_wrong_length_are_refused(machine: Machine) -> None:
     with pytest.raises(InvalidInput, match="shapes"):
         rotor_drawing(machine, np.linspace(0, 0.86, 40), np.ones((39, 2)), np.ones(2))
+
+
+def test_the_line_of_the_speed_differs_from_modes_and_far_modes_leave_the_view() -> None:
+    """It was drawn twice, once as a mode is, on an axis up to 14 kHz for a rotor of 150 Hz."""
+    speeds = np.linspace(0, 150 * TWO_PI, 20)
+    rows = np.array([np.full(20, f * TWO_PI) for f in (100, 300, 14400)])
+    found = CampbellMap(speeds, rows, np.full((3, 20), 0.1), np.ones((3, 20)))
+    curve = campbell_curves(found)[0]
+    figure = plots.figure([("loop", curve)])
+    modes, (line,) = figure.data[:3], figure.data[3:]
+    assert {trace.line.color for trace in modes}.isdisjoint({line.line.color})
+    assert {trace.line.dash for trace in modes}.isdisjoint({line.line.dash})
+    assert (line.x[-1], line.y[-1]) == (pytest.approx(9000), pytest.approx(150))
+    assert 300 < figure.layout.yaxis.range[1] < 400
+    words = texts(figure)
+    assert words.count(ONCE) == 1 and "1× speed" not in words
+    assert "mode 3" not in words and "modes above 318" in words
+
+
+def test_a_wide_disc_does_not_fill_a_page_of_its_own() -> None:
+    """The flywheel's drawing was 1,200 px high, more than a printed page."""
+    machine = load_machine("flywheel")
+    picture = machine_drawing(machine)
+    assert picture.layout.height < 900
+    assert machine.length * 1e3 < picture.layout.xaxis.range[1]

@@ -217,6 +217,7 @@ def test_a_single_excursion_is_in_the_cloud():
     values[0, 54_321] = 90e-6  # zeta of A: up and to the right
     record = replace(record, values=values)
     picture = orbit_figure(record, stations(record, MACHINE), rotor_speed(record))
+    assert picture.layout.meta["room"] >= 40  # panels have titles of two lines under the legend
     cloud = next(trace for trace in picture.data if trace.name == "all")
     assert np.hypot(cloud.x, cloud.y).max() > 90 and len(cloud.x) < 3000
 
@@ -388,7 +389,7 @@ def test_the_page_of_an_interrupted_measurement():
     assert (
         labels(report)["Record"].passed is None and "interrupted" in labels(report)["Record"].text
     )
-    assert ("operator", "J. Doe") in report.facts and ("Speed", "6\u202f000 rpm") in report.facts
+    assert ("Operator", "J. Doe") in report.facts and ("Speed", "6\u202f000 rpm") in report.facts
     assert report.result.passed and "sensor A" in labels(report)["Touchdown"].text
     rows = report.sections[-1].tables[0].cells
     assert [cell.text for cell in rows[1]][:2] == ["y A ζ", "µm"]

@@ -35,6 +35,10 @@ if TYPE_CHECKING:
 
 _FIGURES = ("Output sensitivity", "Unbalance placed", "Slow motion")  # of the pages behind
 Progress = Callable[[str], None]
+_LANDING = {  # rows of the lateral analysis that another analysis is for
+    "not_covered.touchdown_bearings",
+    "not_covered.auxiliary_bearing_landing_analysis",
+}
 DEFAULTS = "review.toml"  # of the user's folder: project, revision, author, logo
 
 
@@ -177,7 +181,7 @@ def review(
 
 def _open(item: Any) -> bool:
     """Whether a row of the lateral analysis has no verdict; landing is an analysis of its own."""
-    return bool(item.left_out or item.unjudged) and "ambrose landing" not in item.note
+    return bool(item.left_out or item.unjudged) and item.name not in _LANDING
 
 
 def review_page(result: Review, *, brand: Brand | None = None, date: str = "") -> Page:
@@ -218,9 +222,9 @@ def review_page(result: Review, *, brand: Brand | None = None, date: str = "") -
     ]
     sources = "; ".join(f"{name}, SHA-256 {digest}" for name, digest in result.sources)
     facts = (
-        ("Controller", result.verification.controller if not sources else ""),
+        ("Controller", result.verification.controller),
         ("Loop", loop_in_words(result.verification.timing)),
-        ("Files", sources),
+        ("Files as they are", sources),
     )
     return Page(
         "Review",

@@ -21,7 +21,7 @@ from ambrose.model.magnetics import (
     magnet_of,
 )
 from ambrose.report import theme
-from ambrose.report.page import Cell, Figure, Page, Section, Table
+from ambrose.report.page import Cell, Figure, Page, Section, Table, Verdict, numbers
 
 _HALF_ANGLE = math.pi / 8  # of the eight poles that [bearing.geometry] is read as
 _PERMEABILITY = 3000.0  # of the iron that [bearing.iron] is read as; its path follows
@@ -204,7 +204,7 @@ def _largest(values: np.ndarray) -> float:
     return float(np.abs(values).max())
 
 
-# The page of the magnets: their sheets, poles with their fluxes, and maps of the straight law.
+# The page of the magnets: their sheets, poles with their fluxes, and maps of the linear law.
 
 
 _SHEET = (
@@ -213,7 +213,7 @@ _SHEET = (
 )
 _POLES = "Flux density in the gap of every pole at the bias current, the arrow out of the stator."
 _MAP = (
-    "Force of the straight law k_i i + k_s x less the magnet's, over k_i times the bias current, "
+    "Force of the linear law k_i i + k_s x less the magnet's, over k_i times the bias current, "
     "along one axis with the other at rest."
 )
 _ONE = {"row": 1, "col": 1}
@@ -222,7 +222,6 @@ _ONE = {"row": 1, "col": 1}
 def sheet_rows(sheet: MagnetSheet, share: float) -> tuple[tuple[str, str], ...]:
     """Name and value of what the sheet says."""
     within = f"within {100 * share:g} % of gap and current"
-    worst = max(item.worst for item in sheet.maps)
     ranges = [
         [end for item in sheet.maps for end in getattr(item, name)]
         for name in ("force_per_current", "negative_stiffness")
@@ -238,12 +237,63 @@ def sheet_rows(sheet: MagnetSheet, share: float) -> tuple[tuple[str, str], ...]:
         ("flux density in the gap at the bias", f"{sheet.flux_density[0]:.3g} T"),
         ("at full modulation", f"{sheet.flux_density[1]:.3g} T"),
         ("force at full modulation", f"{sheet.capacity:.4g} N"),
-        (f"error of the straight law {within}", f"{100 * worst:.3g} % of k_i i_0"),
-        ("k_i there, relative", f"{min(ranges[0]):.3g} to {max(ranges[0]):.3g}"),
-        ("k_s there, relative", f"{min(ranges[1]):.3g} to {max(ranges[1]):.3g}"),
+        (f"error of the linear law {within}", f"{100 * _error(sheet):.3g} % of k_i i_0"),
+        ("k_i within that range", f"{min(ranges[0]):.3g} to {max(ranges[0]):.3g} times"),
+        ("k_s within that range", f"{min(ranges[1]):.3g} to {max(ranges[1]):.3g} times"),
         ("first coil open: force at once", f"{sheet.lost_force:.4g} N"),
         ("first coil open: k_i left along zeta", f"{100 * sheet.lost_share:.3g} %"),
     )
+
+
+def magnets_table(result: MagnetSheets) -> Table:
+    """What decides of every magnet, a row for each."""
+    rows = []
+    for sheet in result.sheets:
+        ends = [
+            f"{100 * max(abs(end - 1) for item in sheet.maps for end in getattr(item, name)):.3g} %"
+            for name in ("force_per_current", "negative_stiffness")
+        ]
+        both = (sheet.force_per_current, np.divide(sheet.negative_stiffness, 1e6))
+        cells = (
+            *(" / ".join(dict.fromkeys(f"{value:.4g}" for value in pair)) for pair in both),
+            f"{sheet.flux_density[1]:.3g}",
+            f"{sheet.capacity:.4g}",
+            f"{100 * _error(sheet):.3g} %",
+            *ends,
+            f"{100 * sheet.lost_share:.3g} %",
+        )
+        rows.append((sheet.bearing, *numbers(*cells)))
+    columns = (
+        "Magnet",
+        "k_i [N/A]",
+        "k_s [MN/m]",
+        "Peak flux [T]",
+        "Peak force [N]",
+        "Error of the linear law",
+        "k_i changes by",
+        "k_s changes by",
+        "k_i left, one coil open",
+    )
+    within = f"within {100 * result.share:g} % of gap and control current"
+    note = (
+        "Peak: full control current on top of the bias current. Error: over k_i times the bias "
+        f"current, {within}, as are the changes of k_i and k_s."
+    )
+    return Table("", columns, tuple(rows), note)
+
+
+def magnets_verdict(result: MagnetSheets) -> str:
+    """How far the linear force law is off at most, and at which magnet."""
+    worst = max(result.sheets, key=_error)
+    return (
+        f"Linear force law: off by at most {100 * _error(worst):.3g} % of k_i times the bias "
+        f"current within {100 * result.share:g} % of gap and control current, at magnet "
+        f"{worst.bearing}. To cover it, add the tolerances that --tolerances prints."
+    )
+
+
+def _error(sheet: MagnetSheet) -> float:
+    return max(item.worst for item in sheet.maps)
 
 
 def magnet_page(result: MagnetSheets, *, date: str = "") -> Page:
@@ -253,15 +303,23 @@ def magnet_page(result: MagnetSheets, *, date: str = "") -> Page:
         rows = tuple(
             (name, Cell(value, "number")) for name, value in sheet_rows(sheet, result.share)
         )
-        table = Table(f"Magnet {sheet.bearing}", ("Quantity", "Value"), rows)
+        table = Table("All values", ("Quantity", "Value"), rows, folded=True)
         pictures = (
             Figure("Poles", poles_figure(sheet), _POLES),
-            Figure("Error of the straight law [%]", map_figure(sheet), _MAP),
+            Figure("Error of the linear law [%]", map_figure(sheet), _MAP),
         )
         sections.append(
             Section(f"{sheet.bearing}: {sheet.part.kind}", _SHEET, pictures, (table,), True)
         )
-    return Page("Magnets", result.machine, tuple(sections), date=date, signatures=())
+    return Page(
+        "Magnets",
+        result.machine,
+        tuple(sections),
+        date=date,
+        signatures=(),
+        result=Verdict("Result", None, magnets_verdict(result)),
+        opening=Section("", tables=(magnets_table(result),)),
+    )
 
 
 def poles_figure(sheet: MagnetSheet) -> Any:
@@ -315,7 +373,7 @@ def poles_figure(sheet: MagnetSheet) -> Any:
 
 
 def map_figure(sheet: MagnetSheet) -> Any:
-    """The straight law's error over place and control current, along zeta."""
+    """The linear law's error over place and control current, along zeta."""
     import plotly.graph_objects as go
 
     item = sheet.maps[0]
@@ -338,6 +396,6 @@ def map_figure(sheet: MagnetSheet) -> Any:
         **_ONE,
     )
     theme.dress(figure, 300, legend=False)
-    figure.update_xaxes(title_text="Place along zeta [um]")
+    figure.update_xaxes(title_text="Place along ζ [µm]")
     figure.update_yaxes(title_text="Control current [A]")
     return figure

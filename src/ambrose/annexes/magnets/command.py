@@ -15,6 +15,7 @@ from ambrose.terminal import (
     print_table,
     say,
     say_json,
+    say_verdict,
 )
 
 
@@ -45,7 +46,7 @@ def magnet_command(
     """What the magnets are by their geometry: k_i, k_s, fluxes, inductance, force.
 
     Every magnet with a [bearing.magnet] or [bearing.geometry] is solved as a magnetic network.
-    Shown are how far the straight force law is off within a share of gap and current, and what an
+    Shown are how far the linear force law is off within a share of gap and current, and what an
     open coil leaves.
     """
     from ambrose.annexes.magnets.analysis import magnet_sheets
@@ -57,8 +58,9 @@ def magnet_command(
     if as_json:
         say_json(result.to_dict())
     else:
-        from ambrose.annexes.magnets.analysis import sheet_rows
+        from ambrose.annexes.magnets.analysis import magnets_verdict, sheet_rows
 
+        say_verdict(f"{description.name}: {magnets_verdict(result)}")
         for sheet in result.sheets:
             print_table(
                 f"{description.name}: magnet {sheet.bearing} ({sheet.part.kind})",

@@ -526,13 +526,13 @@ def lateral(
         )
         trip = highest
     _reaches(loop_at, trip)
-    name = getattr(controller, "label", "") or ("none" if law is None else "as given")
+    name = "none" if law is None else law.named
     slowest = _slowest(machine, trip)
     progress("undamped critical speeds")
     undamped = critical_map(layout, at_top, loop_at, law, (slowest, trip))
     bare = Lateral(
         machine=machine,
-        controller=str(name),
+        controller=name,
         timing=_timing_in_words(law, timing),
         point=chosen.label or f"{chosen.speed:.4g} rad/s",
         speeds=(lowest, highest, trip),

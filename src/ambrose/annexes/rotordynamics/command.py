@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
-from hashlib import sha256
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -115,9 +113,6 @@ def lateral_command(
             progress=progress,
             **asked_for(AsItRuns, asked).values(),
         )
-        if controller is not None:
-            digest = sha256(controller.read_bytes()).hexdigest()
-            result = replace(result, controller=f"{controller.name}, SHA-256 {digest}")
         comparison = None if other is None else compare(result, other)
         failure = kept_page(result, output, progress=progress, comparison=comparison)
         if data is not None:

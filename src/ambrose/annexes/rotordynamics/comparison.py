@@ -187,6 +187,10 @@ def lateral_schema() -> dict[str, Any]:
         passed=_VERDICT,
         note=_TEXT,
         bound={"enum": ["", ">"], "description": ">: the value is more than the one given"},
+        left_out={
+            "type": "boolean",
+            "description": "not checked, as the note explains; never a pass",
+        },
     )
     mode = _table(
         frequency_rad_per_s=_SIZE,

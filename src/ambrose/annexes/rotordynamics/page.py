@@ -499,7 +499,8 @@ def verdict_words(result: Lateral) -> str:
     """
     judged = [item for item in result.items if item.passed is not None]
     failed = [item for item in judged if not item.passed]
-    words = f"PASSED: all {len(judged)} requirements are met"
+    met = f"{len(judged)} requirement{' is' if len(judged) == 1 else 's are'} met"
+    words = f"PASSED: {'all ' * (len(judged) > 1)}{met}" if result.passed else f"FAILED: {met}"
     if failed:
         worst = max(failed, key=_share)
         value, limit = (cell.text for cell in numbers_of(worst))
@@ -511,7 +512,7 @@ def verdict_words(result: Lateral) -> str:
         if worst.value is not None and worst.limit is not None:
             words += f", {value} (limit {limit})"
     if unknown := [item.title for item in result.items if item.unjudged]:
-        words += f". Not checked, value unknown: {'; '.join(unknown)}"
+        words += f". Not checked, value unknown, which does not pass: {'; '.join(unknown)}"
     return words
 
 

@@ -35,8 +35,9 @@ class Item:
     name: of the quantity, as in lateral.json; unit: "um p-p", "um 0-p", "%", "N/m" ...: amplitudes
     say which. basis: "checked" (a source that quotes the clause was at hand), "recalled", or "own"
     (no clause: what Ambrose adds). limit None and passed None: for information, or not covered.
-    A value that is not finite passes nothing: such a row is not judged. bound ">": the value is
-    more than the one given, which is as far as was looked.
+    left_out: a reviewer looks for it, and it was not checked, as the note explains; such a row, and
+    one whose value is not finite, never passes. bound ">": the value is more than the one given,
+    which is as far as was looked.
     """
 
     name: str
@@ -51,26 +52,22 @@ class Item:
     passed: bool | None = None
     note: str = ""
     bound: str = ""
+    left_out: bool = False
 
     def __post_init__(self) -> None:
         if self.passed is not None:  # of NumPy's numbers it is no False that "is False" sees
             object.__setattr__(self, "passed", bool(self.passed))
         if self.passed and self.value is not None and not np.isfinite(self.value):
-            object.__setattr__(self, "passed", None)
+            object.__setattr__(self, "left_out", True)
             said = "; ".join(text for text in (self.note, "value not known, not checked") if text)
             object.__setattr__(self, "note", said)
+        if self.passed and self.left_out:
+            object.__setattr__(self, "passed", None)
 
     @property
     def unjudged(self) -> bool:
-        """Whether a limit stands without a verdict, since the value is not known."""
-        unknown = self.value is not None and not np.isfinite(self.value)
-        return self.passed is None and self.limit is not None and unknown
-
-    @property
-    def left_out(self) -> bool:
-        """Whether no verdict was given of what a reviewer looks for, as the note says."""
-        said = ("not covered", "not done", "not checked", "not judged")
-        return self.passed is None and any(words in self.note for words in said)
+        """Whether a limit stands without a verdict, which does not pass."""
+        return self.passed is None and self.limit is not None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; infinite values as text."""

@@ -214,6 +214,7 @@ def monitor_page(history: SealHistory, machine: Machine, *, date: str = "") -> P
     )
     notes = tables.capitalised((*history.findings, *history.notes), ". ", "") + "."
     facts = (
+        ("Controller", history.controller),
         ("Seal", history.seal),
         ("Memory", theme.quantity(history.window, "s")),
         ("Changes followed", f"up to {history.rate:g} of the reference per second"),

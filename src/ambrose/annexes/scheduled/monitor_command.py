@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -121,7 +122,8 @@ def monitor(
     from ambrose.record.files import read_record
 
     description = load(machine)
-    law = load_controller(controller, description).controller
+    ran = load_controller(controller, description)
+    law = ran.controller
     claim(page=output, table=table)
     doubts = {
         "force_per_current": current_gain,
@@ -147,6 +149,7 @@ def monitor(
             following: Any = seal_monitor
             write_monitor(code, following(description, law, measured.point, measured.dt, **options))
         history = watched(description, law, measured, progress=progress, **options)
+        history = replace(history, controller=ran.named)
         failures = []
         if table is not None:
             failures.append(kept(lambda path: write_text(path, history.to_csv(), "table"), table))

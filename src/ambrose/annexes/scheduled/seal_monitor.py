@@ -464,7 +464,7 @@ class SealHistory(Presented):
     time (b,) [s]; values, half_widths, noise, known, change (b, q), SI, NaN where nothing can be
     said; restarts: times [s] of changes faster than ``rate`` [reference/s]; reference (q,), SI;
     limits: per path the range of the tolerances, SI; measured (b,) [Pa]: the pressure that was
-    measured beside it.
+    measured beside it; controller: what a page calls the one that ran.
     """
 
     machine: str
@@ -485,6 +485,7 @@ class SealHistory(Presented):
     measured: np.ndarray | None
     findings: tuple[str, ...]
     notes: tuple[str, ...]
+    controller: str = ""
 
     @property
     def units(self) -> tuple[str, ...]:

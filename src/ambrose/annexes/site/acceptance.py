@@ -34,7 +34,7 @@ from ambrose.identification.output_error.problem import check_machine
 from ambrose.identification.responses import as_responses
 from ambrose.identification.validation.places import machine_at_load
 from ambrose.judge.checks import Check, Checks, holds, information, judge
-from ambrose.judge.measured import refuse_scales, sensitivity_of
+from ambrose.judge.measured import refuse_misread, sensitivity_of
 from ambrose.law.law import LawLike
 from ambrose.law.loop import Timing, check_clock, closed_loop, running_law, timing_of
 from ambrose.machine.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, TWO_PI, Demand, demand
@@ -467,7 +467,7 @@ def _of_response(
     omega = response.omega
     K = frequency_response(law, omega).values
     held = c2d(select(plant.system, plant.named("u"), plant.named("y")), timing.sample_time)
-    refuse_scales(response, axes, frequency_response(held, omega).values, K)
+    refuse_misread(response, axes, frequency_response(held, omega).values, K)
     s = poles(closed_loop(plant, law))
     s = np.log(s[np.abs(s) > 1e-6].astype(complex)) / timing.sample_time
     S, deviation, rise = sensitivity_of(response, axes, law, s[(s.imag > 0) & (s.real < 0)])
@@ -905,7 +905,7 @@ def _checks(
     if count == len(loop.axes):
         title, remedy = f"Measured peak sensitivity, {words}", "sweep every axis, record all"
         detail = f"not measured between the axes: {remedy} displacements"
-        found.append(information(name, title, float("nan"), "-", detail))
+        found.append(judge(name, title, float("nan"), "-", wanted, detail))
     for i, axis in enumerate(loop.axes):
         phase, at = phase_margin(loop.omega, loop.loops[:, i], told[:, i])
         detail = (

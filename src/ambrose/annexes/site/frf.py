@@ -36,7 +36,7 @@ from ambrose.identification.frf import (
 )
 from ambrose.identification.frf_spectral import Frf
 from ambrose.identification.validation.places import machine_at_load
-from ambrose.law.law import LawLike
+from ambrose.law.law import LawLike, law_of
 from ambrose.law.loop import Timing, closed_loop, running_law, timing_of
 from ambrose.machine.criteria import TWO_PI
 from ambrose.machine.description import OperatingPoint
@@ -101,13 +101,14 @@ class PointResponse:
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Responses(Presented):
     """Frequency responses at every operating point of the records; timing: of the loop that was
-    modelled, in words.
+    modelled, in words; controller: what a page calls the one that ran.
     """
 
     machine: Machine
     points: tuple[PointResponse, ...]
     timing: str = ""
     records: tuple[str, ...] = ()
+    controller: str = ""
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -268,7 +269,9 @@ def respond(
             )
         )
     done[0] = replace(done[0], findings=(*findings, *done[0].findings))
-    return Responses(machine, tuple(done), str(timing) if controller is not None else "", names)
+    known = controller is not None
+    name = law_of(controller).named if known else ""
+    return Responses(machine, tuple(done), str(timing) if known else "", names, name)
 
 
 class _Model:

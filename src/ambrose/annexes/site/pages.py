@@ -418,6 +418,7 @@ def frf_page(found: Responses, *, date: str = "") -> Page:
     methods = ", ".join(dict.fromkeys(IN_WORDS[point.loop.method] for point in found.points))
     facts = (
         ("Records", ", ".join(found.records)),
+        ("Controller", found.controller),
         ("Method", methods),
         ("Loop", timing_in_words(str(found.timing))),
         ("Operating points", "; ".join(point.label for point in found.points)),
@@ -616,9 +617,10 @@ def retuning_page(done: Retuning, *, date: str = "") -> Page:
     if done.acceptance is not None:
         checks = tuple(tables.checks_table(loop.checks) for loop in done.acceptance.points)
         sections.append(Section("As measured after the change", "", (), checks))
-    sections.append(_provenance(done))
+    sections += _provenance(done)
     step = done.stopped_at
     last = done.steps[-1] if step is None and done.steps else step
+    identified = done.identification
     words = done.outcome.capitalize() if last is None else f"{last.title}: {_first(last.words)}"
     result = Verdict("", done.passed, words)
     return Page(
@@ -626,7 +628,12 @@ def retuning_page(done: Retuning, *, date: str = "") -> Page:
         done.machine,
         tuple(sections),
         (),
-        (("Loop", timing_in_words(str(done.timing))),),
+        (
+            ("Running controller", done.running.named),
+            ("New controller", "" if done.new is None else done.new.named),
+            ("Records", "" if identified is None else identified.provenance.of_records),
+            ("Loop", timing_in_words(str(done.timing))),
+        ),
         date,
         result=result,
         opening=_verdicts(done),
@@ -770,19 +777,13 @@ def _moved(run: Switch) -> tuple[object, str]:
     return panel_figure(rows, style, height=130)
 
 
-def _provenance(done: Retuning) -> Section:
-    rows: list[tuple[str, str, Cell]] = [
-        ("Running controller", done.running.method, Cell("", detail=done.running.digest)),
-    ]
-    if done.new is not None:
-        rows.append(("New controller", done.new.method, Cell("", detail=done.new.digest)))
+def _provenance(done: Retuning) -> list[Section]:
+    rows = list[tuple[str, str, Cell]]()
     delivery = done.delivery
     if delivery is not None and delivery.difference is not None:
         change = delivery.difference
         text = f"{len(change.changes)} entries"
         sums = f"CRC-32 {change.checksum_before} to {change.checksum}"
         rows.append(("Difference of parameters", text, Cell("", detail=sums)))
-    if done.identification is not None:
-        rows.append(("Records", done.identification.provenance.of_records, Cell("")))
     table = Table("", ("", "What", "Hash"), tuple(rows), "", (25, 35, 40))
-    return Section("What it rests on", "", (), (table,))
+    return [Section("What it rests on", "", (), (table,))] if rows else []

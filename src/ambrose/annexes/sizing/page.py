@@ -33,14 +33,16 @@ _MAP = (
 )
 _COSTS = (
     "Copper loss of all coils over the volume of the magnets, both over the machine file's own. "
-    "Green: meets all. The line "
-    "joins sizes of which no other has both less; ring: the least product of the two."
+    "Circle: meets every requirement; ring: the least product of the two."
 )
+_CROSS = " Cross: a requirement is not met."
+_FRONT = " The line joins the sizes of which no other has both less."
 _CONTOURS = (
-    "Axes: pole area and bias current, relative to the machine file. Solid: largest singular "
-    "value of S_o (red: the limit). Dotted: voltage for the largest control current at top "
-    "speed [V], with the machine file's turns. Filled: all requirements met."
+    "Axes: pole area and bias current, relative to the machine file. {solid}Dotted: voltage for "
+    "the largest control current at top speed [V], with the machine file's turns. Circle: meets "
+    "every requirement.{cross}"
 )
+_SOLID = "Solid: largest singular value of S_o; its limit {limit} {where}. "
 _DRIVE = ("Turns", "Bias current", "Largest control current", "Inductance", "Voltage at top speed")
 _SOURCES = (
     "scaled from the machine file's with area and turns",
@@ -71,13 +73,15 @@ def sizing_page(sizing: Sizing, verified: Verification | None = None, *, date: s
     knee = sizing.knee
     pictures = []
     if any(t.met for t in sizing.trials):
-        pictures.append(Figure("What it costs", cost_figure(sizing), _COSTS))
+        pictures.append(Figure("What it costs", cost_figure(sizing), costs_caption(sizing)))
     if (
         len({t.size.area for t in sizing.trials if t.synthesis})
         > 1
         < len({t.size.bias for t in sizing.trials if t.synthesis})
     ):
-        pictures.append(Figure("Sensitivity and voltage", contour_figure(sizing), _CONTOURS))
+        pictures.append(
+            Figure("Sensitivity and voltage", contour_figure(sizing), contour_caption(sizing))
+        )
     sections = [Section("Which sizes are enough", _MAP, tuple(pictures))]
     if knee is not None:
         rows = [_row("taken", knee), *(_row("one size smaller", trial) for trial in sizing.smaller)]
@@ -226,17 +230,20 @@ def cost_figure(sizing: Sizing) -> Any:
             marker=ring,
             hoverinfo="skip",
         )
-    theme.dress(figure, 300, legend=True)
+    theme.dress(figure, 300, legend=False)
     figure.update_xaxes(title_text="Volume of the magnets [-]", rangemode="tozero")
     figure.update_yaxes(title_text="Copper loss [-]", rangemode="tozero")
     return figure
 
 
-def contour_figure(sizing: Sizing) -> Any:
-    """Lines of equal sensitivity and of equal voltage over bias (x) and area (y)."""
-    import plotly.graph_objects as go
+def costs_caption(sizing: Sizing) -> str:
+    """What ``cost_figure`` draws of these sizes, and nothing else."""
+    crosses = any(not t.met for t in sizing.trials)
+    return _COSTS + _CROSS * crosses + _FRONT * (len(sizing.front) > 1)
 
-    figure = theme.subplots(rows=1, cols=1)
+
+def _sensitivities(sizing: Sizing) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Bias (x,), area (y,), largest singular value of S_o (y, x), NaN where there is none."""
     x, y = (
         np.array(sorted({getattr(t.size, name) for t in sizing.trials}))
         for name in ("bias", "area")
@@ -245,7 +252,40 @@ def contour_figure(sizing: Sizing) -> Any:
     for t in sizing.trials:
         if np.isfinite(t.sensitivity):
             z[np.searchsorted(y, t.size.area), np.searchsorted(x, t.size.bias)] = t.sensitivity
+    return x, y, z
+
+
+def _levels(sizing: Sizing, z: np.ndarray) -> tuple[tuple[float, ...], float, bool]:
+    """Levels of S_o that have a line, the limit, and whether it has one: a line needs values on
+    both sides, at four sizes around a point.
+    """
     limit = next((t.sensitivity / t.ratios["sensitivity"] for t in sizing.trials if t.ratios), 3.0)
+    corners = np.stack([z[:-1, :-1], z[1:, :-1], z[:-1, 1:], z[1:, 1:]])
+    whole = corners[:, np.isfinite(corners).all(axis=0)]
+    if not whole.size or whole.min() == whole.max():
+        return (), limit, False
+    levels = np.geomspace(whole.min(), whole.max(), 5)[1:-1]
+    return tuple(float(f"{v:.3g}") for v in levels), limit, bool(whole.min() < limit < whole.max())
+
+
+def contour_caption(sizing: Sizing) -> str:
+    """What ``contour_figure`` draws of these sizes, and nothing else."""
+    levels, limit, drawn = _levels(sizing, _sensitivities(sizing)[2])
+    words = {"limit": f"{limit:.3g}", "where": "in red" if drawn else "is not reached"}
+    if levels and not drawn and limit < min(levels):
+        words["where"] = "is exceeded everywhere"
+    crosses = any(not t.met and t.synthesis is not None for t in sizing.trials)
+    solid = _SOLID.format(**words) if levels else ""
+    return _CONTOURS.format(solid=solid, cross=_CROSS * crosses)
+
+
+def contour_figure(sizing: Sizing) -> Any:
+    """Lines of equal sensitivity and of equal voltage over bias (x) and area (y)."""
+    import plotly.graph_objects as go
+
+    figure = theme.subplots(rows=1, cols=1)
+    x, y, z = _sensitivities(sizing)
+    within, limit, drawn = _levels(sizing, z)
     shown = {"size": 1, "showlabels": True}
     fine = np.geomspace(x[0], x[-1], 60), np.geomspace(y[0], y[-1], 60)
     # inductance a, current b
@@ -254,11 +294,11 @@ def contour_figure(sizing: Sizing) -> Any:
         (
             (x, y),
             z,
-            (round(0.85 * limit, 1), round(1.25 * limit, 1), round(1.6 * limit, 1)),
+            within,
             "#0072b2",
             "solid",
         ),
-        ((x, y), z, (limit,), theme.LIMIT, "solid"),
+        ((x, y), z, (limit,) * drawn, theme.LIMIT, "solid"),
         (
             fine,
             volts,

@@ -396,6 +396,7 @@ class Landing(Presented):
     again, None where no controller was given. campaign: many drops, None where none were
     asked for. rows: what landings cost, over the campaign or else over the one drop. along: the
     motion along the axis, of every thrust bearing with stops and a thrust at the point.
+    controller: what a page calls the one of the recovery.
     """
 
     _FACTS: ClassVar = ("machine=machine_name", "point=point_name", "worst=worst_whip")
@@ -414,6 +415,7 @@ class Landing(Presented):
     campaign: Campaign | None
     rows: tuple[Row, ...]
     along: tuple[AxialDrop, ...] = ()
+    controller: str = ""
 
     @property
     def passed(self) -> bool | None:
@@ -632,6 +634,7 @@ def landing(
         campaign,
         rows,
         along,
+        "" if law is None else law_of(law).named,
     )
 
 

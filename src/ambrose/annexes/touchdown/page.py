@@ -73,11 +73,11 @@ def slow_motion(result: Landing) -> Any:
             hoverinfo="skip",
         )
         theme.heading(figure, place, theme.plain(name))
-        figure.update_xaxes(range=[-reach, reach], title_text="x [um]", **place)
+        figure.update_xaxes(range=[-reach, reach], title_text="x [µm]", **place)
         figure.update_yaxes(
             range=[-reach, reach],
             scaleanchor=f"x{k + 1 if k else ''}",
-            title_text="y [um]",
+            title_text="y [µm]",
             **place,
         )
 
@@ -169,7 +169,7 @@ def axial_figure(drop: AxialDrop) -> Any:
     end = drop.time[-1] if drop.settled is None else 1.3 * drop.settled
     window = drop.time <= end
     time, sign = 1e3 * drop.time[window], 1.0 if drop.thrust > 0 else -1.0
-    for row, values, unit in ((1, 1e6 * drop.place, "um"), (2, 1e-3 * drop.force, "kN")):
+    for row, values, unit in ((1, 1e6 * drop.place, "µm"), (2, 1e-3 * drop.force, "kN")):
         theme.scatter(
             figure,
             {"row": row, "col": 1},
@@ -196,7 +196,7 @@ def axial_figure(drop: AxialDrop) -> Any:
             hoverinfo="skip",
         )
     theme.dress(figure, 360, legend=True)
-    figure.update_yaxes(title_text="Place along the shaft [um]", row=1, col=1)
+    figure.update_yaxes(title_text="Place along the shaft [µm]", row=1, col=1)
     figure.update_yaxes(title_text="Force of the stop [kN]", rangemode="tozero", row=2, col=1)
     figure.update_xaxes(title_text="Time after the loss of power [ms]", row=2, col=1)
     return figure
@@ -329,7 +329,7 @@ def map_figure(item: WhipMap, quantity: str) -> Any:
                 "ticktext": [f"{10**v:.3g}" for v in ticks],
                 "title": {"text": unit},
             },
-            hovertemplate="friction %{x:.3g}, %{y:.3g} N/um: %{customdata:.4g} "
+            hovertemplate="friction %{x:.3g}, %{y:.3g} N/µm: %{customdata:.4g} "
             + unit
             + "<extra></extra>",
         ),
@@ -367,7 +367,7 @@ def map_figure(item: WhipMap, quantity: str) -> Any:
         title_text="Friction", **theme.decades(float(item.friction[0]), float(item.friction[-1]))
     )
     span = theme.decades(float(item.stiffness[0]) / 1e6, float(item.stiffness[-1]) / 1e6)
-    figure.update_yaxes(title_text="Mount stiffness [N/um]", **span)
+    figure.update_yaxes(title_text="Mount stiffness [N/µm]", **span)
     return figure
 
 
@@ -462,6 +462,7 @@ def landing_page(result: Landing, *, date: str = "") -> Page:
         Section("ISO 14839-5", _HEADS, (), (heads_table(),)),
     )
     facts = (
+        ("Controller", result.controller or "none: no recovery was computed"),
         ("Operating point", f"{result.point_name}, {result.point.speed * 30 / np.pi:.6g} rpm"),
         ("Rotor", f"{result.fallen.mass:.4g} kg"),
     )
@@ -550,11 +551,11 @@ def drop_section(result: Landing) -> Section:
         touched = f"{1e3 * figures[0]:.4g} ms" if figures[0] >= 0 else "never"
         values = (
             touched,
-            f"{figures[1] / 1e3:.3g} kN",
-            f"{figures[2] / 1e3:.3g} kN",
-            f"{1e6 * figures[5]:.4g} um",
+            theme.join(theme.number(figures[1] / 1e3), "kN"),
+            theme.join(theme.number(figures[2] / 1e3), "kN"),
+            theme.quantity(figures[5], "m", 4),
             f"{figures[6] / turn:.2f} / {figures[7] / turn:.2f}",
-            f"{result.fall.energy[k]:.4g} J",
+            theme.join(theme.number(result.fall.energy[k], 4), "J"),
             f"{figures[10] * 30 / np.pi:,.0f} rpm",
         )
         rows.append((name, *numbers(*values)))
@@ -597,8 +598,8 @@ def axial_section(drop: AxialDrop) -> Section:
             "never" if touched is None else f"{1e3 * touched:.4g} ms",
             f"{drop.largest_force / 1e3:.3g} kN",
             f"{drop.bound / 1e3:.3g} kN",
-            f"{1e6 * drop.reach:.4g} um",
-            f"{1e6 * drop.gap:.4g} um",
+            f"{1e6 * drop.reach:.4g} µm",
+            f"{1e6 * drop.gap:.4g} µm",
             "not yet" if settled is None else f"{1e3 * settled:.4g} ms",
         ),
     )

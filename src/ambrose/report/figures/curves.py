@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.realisation import invariant_zeros
 from ambrose.core.statespace import as_statespace, poles as poles_of
+from ambrose.judge.campbell import ONCE
 from ambrose.judge.checks import Curve
 from ambrose.report import theme
 
@@ -32,6 +33,7 @@ _DECADES, _OVERLAY_DECADES = 4.0, 7.0
 _BELOW_LIMITS = 2.0
 # a time response this much larger than all others (an unstable loop's) does not set the view
 _RUNAWAY = 8.0
+_MODES = 10.0  # times the highest speed: modes above it leave the view of a map
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +86,11 @@ def axes_of(
     if log_y:
         low, high = _logarithmic(y, limits, _OVERLAY_DECADES if overlay else _DECADES)
     else:
-        low, high = _linear(_without_runaways(rows) if first.kind == "time" else y, limits)
+        if first.kind == "time":
+            y = _without_runaways(rows)
+        elif is_map(first):
+            y = _near_the_speed(rows, float(x.max(initial=0.0)))
+        low, high = _linear(y, limits)
     cut = bool(whole.size) and (float(whole.min()) < low or float(whole.max()) > high)
     factor, y_unit = theme.scale(first.y_unit, max(abs(low), abs(high)))
     x_factor, x_text = _x_scale(first.kind, x)
@@ -148,6 +154,13 @@ def _without_runaways(rows: Sequence[np.ndarray]) -> np.ndarray:
     while len(ordered) > 1 and np.abs(ordered[-1]).max() > _RUNAWAY * np.abs(ordered[-2]).max() > 0:
         ordered.pop()
     return np.concatenate(ordered) if ordered else np.zeros(0)
+
+
+def _near_the_speed(rows: Sequence[np.ndarray], top: float) -> np.ndarray:
+    """The modes of a map that are not far above the highest speed; all where none is near."""
+    y = np.concatenate(rows)
+    near = y[y <= _MODES * top]
+    return near if near.size else y
 
 
 BEYOND = "beyond the view: "
@@ -239,7 +252,9 @@ def beyond(curves: Sequence[tuple[str, Curve]], axes: Axes) -> str:
         for level, words in outside
         if level >= 0 or -level not in {other for other, _ in outside}
     ]
-    texts += ["some curves"] if axes.cut else []
+    if axes.cut:
+        modes = is_map(curves[0][1])
+        texts.append(f"modes above {amount(axes.y_range[1], axes)}" if modes else "some curves")
     return BEYOND + ", ".join(texts) if texts else ""
 
 
@@ -705,8 +720,8 @@ def _draw(
         look = style[label]
         x = curve.x * axes.x_factor
         for name, values in zip(curve.labels, curve.y, strict=True):
-            if name not in panel.names:
-                continue
+            if name not in panel.names or (name == ONCE and is_map(curve)):
+                continue  # the line of the speed itself is part of the map's furniture
             y = values * axes.y_factor
             words = f"{theme.plain(label)}<br>{theme.plain(theme.axis_name(name))}"
             hover = f"{words}<br>%{{x:.4g}} · %{{y:.4g}} {axes.y_unit}<extra></extra>"
@@ -729,7 +744,7 @@ def _draw(
             if panel.main and len(panel.names) == 1 and _peaked(curve) and not overlay:
                 mark_peak(figure, place, x, y, look)
     if is_map(curves[0][1]):
-        _map_furniture(figure, panel, axes)
+        _map_furniture(figure, panel, axes, named=not _crowded(panel, axes))
     if _crowded(panel, axes):
         _name_ends(figure, panel, curves[0][1], axes)
 
@@ -806,8 +821,10 @@ def mark_peak(
     theme.scatter(figure, place, [x[i]], [y[i]], mode="markers", marker=marker, hoverinfo="skip")
 
 
-def _map_furniture(figure: Any, panel: Panel, axes: Axes) -> None:
-    """On a map over speed: the synchronous line (frequency = speed)."""
+def _map_furniture(figure: Any, panel: Panel, axes: Axes, *, named: bool) -> None:
+    """On a map over speed: the synchronous line (frequency = speed), dotted and grey, as no mode
+    is; named: on the line, where no name stands at its end.
+    """
     place = {"row": panel.row, "col": panel.column}
     high = min(axes.x_range[1] / 60, axes.y_range[1])
     low = min(axes.x_range[0] / 60, high)
@@ -817,10 +834,11 @@ def _map_furniture(figure: Any, panel: Panel, axes: Axes) -> None:
         [low * 60, high * 60],
         [low, high],
         color=theme.MUTED,
-        width=1,
+        width=1.6,
         dash="2px,3px",
     )
-    theme.note(figure, place, "1× speed", high * 33, high * 0.55, "left", "top", xshift=5)
+    if named or ONCE not in panel.names:
+        theme.note(figure, place, "1× speed", high * 33, high * 0.55, "left", "top", xshift=5)
 
 
 def _name_ends(figure: Any, panel: Panel, curve: Curve, axes: Axes) -> None:
@@ -884,9 +902,10 @@ def _beyond(figure: Any, curves: Labelled, axes: Axes) -> None:
     """One line, upper right, that names what lies outside the view."""
     words = beyond(curves, axes)
     if words:
-        theme.note(
-            figure, {}, theme.plain(words), 1, 1, "right", "bottom", xref="paper", yref="paper"
-        )
+        # out to where the names at the lines' ends reach: on a phone the unit stands to the left
+        room = figure.layout["margin"]["r"] - theme.RIGHT
+        text, place = theme.plain(words), {"xref": "paper", "yref": "paper", "xshift": room}
+        theme.note(figure, {}, text, 1, 1, "right", "bottom", **place)
 
 
 def _panel_title(figure: Any, panel: Panel, axes: Axes, *, many: bool) -> None:

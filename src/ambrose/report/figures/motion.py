@@ -85,7 +85,7 @@ def add_controls(
         "currentvalue": {
             "prefix": "t = ",
             "font": {"size": 12, "color": theme.INK},
-            "xanchor": "left",
+            "xanchor": "right",  # clear of the buttons, on a phone too
         },
         "tickcolor": "white",
         "font": {"size": 11, "color": "rgba(0, 0, 0, 0)"},
@@ -304,7 +304,7 @@ def orbit_figure(record: Record, places: Sequence[Station], speed: np.ndarray) -
     for i, station in enumerate(stations):
         place = {"row": i // columns + 1, "col": i % columns + 1}
         _panel(figure, station, place, spans, factor, unit, reach, first=i == 0)
-    theme.dress(figure, total, legend=True)
+    theme.dress(figure, total, legend=True, lines=1)  # of two lines is a panel's title
     figure.update_layout(legend={"itemsizing": "constant"})
     bound = reach * factor
     figure.update_xaxes(range=[-bound, bound], constrain="domain", nticks=5)

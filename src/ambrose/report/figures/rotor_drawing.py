@@ -28,6 +28,7 @@ _LEAST = (
     760  # page width [px] for which the names are staggered; a narrower page scrolls the figure
 )
 _LEFT, _RIGHT = 112, 16  # margins [px]
+_TALLEST = 380  # [px], of the rotor; a wider one is drawn smaller, its length within more room
 _ROW, _GAP = 74, 14  # height of one mode shape, space between two [px]
 _STEEL = "#dfe4e8"
 _LAMINATION = "#b9c3cb"
@@ -82,7 +83,10 @@ def rotor_drawing(
     modes = check_shape(shapes, "shapes", "(n, k)", n=nodes.size)
     omega = check_shape(frequencies, "frequencies", "(k,)", k=modes.shape[1])
     length = machine.length * 1e3
-    pixel = 1.08 * length / _PIXELS  # mm per pixel
+    cylinders = [size for disc in machine.discs if (size := equivalent_cylinder(disc)) is not None]
+    widths = [2 * size[0] for size in cylinders]
+    widths += [max(part.diameters(end)) for part in machine.shaft for end in (0, 1)]
+    pixel = 1e3 * max(1.08 * machine.length / _PIXELS, max(widths) / _TALLEST)  # [mm]
     figure = go.Figure()
     _shaft(figure, machine)
     for disc in machine.discs:
@@ -98,7 +102,9 @@ def rotor_drawing(
     total = drawn + modes.shape[1] * (_ROW + _GAP) + _GAP
     theme.dress(figure, round(total), legend=False)
     figure.update_layout(meta={**figure.layout.meta, "least": _LEAST})
-    _layout(figure, length, (bottom, top), (drawn / total, _GAP / total), modes.shape[1])
+    width = 0.5 * (length - _PIXELS * pixel), 0.5 * (length + _PIXELS * pixel)
+    shares = drawn / total, _GAP / total
+    _layout(figure, width, (bottom, top), shares, modes.shape[1])
     _shapes(figure, nodes, modes, omega, stations, 1 - (drawn + _GAP) / total)
     return figure
 
@@ -407,7 +413,11 @@ def _centre_line(figure: Any, nodes: np.ndarray, length: float) -> None:
 
 
 def _layout(
-    figure: Any, length: float, y_range: tuple[float, float], shares: tuple[float, float], rows: int
+    figure: Any,
+    x_range: tuple[float, float],
+    y_range: tuple[float, float],
+    shares: tuple[float, float],
+    rows: int,
 ) -> None:
     """One axial axis for all rows; the drawing keeps its proportions (equal millimetres in both
     directions).
@@ -415,7 +425,7 @@ def _layout(
     figure.update_layout(margin={"l": _LEFT, "r": _RIGHT, "t": 26, "b": 48})
     figure.update_xaxes(
         title_text="Axial position from the left end [mm]",
-        range=[-0.04 * length, 1.04 * length],
+        range=list(x_range),
         showgrid=False,
         anchor=f"y{rows + 1}" if rows else "y",
         constrain="domain",
