@@ -221,7 +221,8 @@ def test_a_machine_goes_to_a_spreadsheet_and_back(tmp_path):
     assert result.exit_code == 0, result.output
     left = json.loads(result.output)["left_out"]
     assert "piston" in left and any("bernoulli-euler" in item for item in left)
-    assert call("convert", book, "-o", table).exit_code == 0
+    copied = call("convert", book, "-o", table)
+    assert copied.exit_code == 0 and "25 stations; left out: nothing" in copied.output
     again = call("convert", "turboexpander", "-o", book)
     assert again.exit_code == 2 and "exists already" in again.output
     made = call("convert", book, "-o", tmp_path / "rotor.toml", "--speed", "20000 rpm")

@@ -566,18 +566,18 @@ def _convert_to_stations(source: Path, output: Path, as_json: bool) -> None:
             beam_theory=machine.beam_theory,
         )
     )
-    left = [*rotor.left_out] if machine is None else _left_out(machine)
+    left = [*rotor.left_out]
+    if machine is not None:
+        left += ["magnets, sensors and controller", *_left_out(machine)]
     moved = {} if machine is None else off_nodes(machine)
     left += [f"{1e6 * away:.3g} um of the place of {name}" for name, away in moved.items()]
     if rotor.beam_theory != "timoshenko":
         left.append(f"beam theory {rotor.beam_theory} (a table is read as timoshenko)")
     claim(table_of_stations=output)
     count = write_stations(output, rotor, () if machine is None else stations(machine))
-    words = f"{output}: {count} stations; left out: magnets, sensors and controller"
-    if as_json:
-        say_json({"stations": str(output), "rows": count, "left_out": left})
-    else:
-        say(", ".join([words, *left]))
+    summary = {"stations": str(output), "rows": count, "left_out": left}
+    words = f"{output}: {count} stations; left out: {', '.join(left) or 'nothing'}"
+    say_json(summary) if as_json else say(words)
 
 
 def _convert_machine(
