@@ -192,6 +192,8 @@ def test_a_material_by_its_name_and_one_that_is_assumed():
     assert [item.material.density for item in model.shaft] == [4430.0, 7850.0]
     assert model.assumed == {"shaft.material": "steel, where the table names none"}
     assert not rotor_of_stations(f"{names}100;40;steel\n", "table").assumed
+    half = rotor_of_stations("length [mm],od [mm],E [GPa]\n100,40,200\n", "table")
+    assert half.assumed == model.assumed  # the density was taken without a word
 
 
 def test_inertia_without_mass_and_empty_rows_are_no_silent_loss():
