@@ -332,7 +332,7 @@ BAD = {
     ),
     "a controller as rotor": (
         ["convert", "{controller}", "-o", "{tmp}/m.toml"],
-        "or of a table of stations (*.csv)",
+        "or of a table of stations (*.csv, *.xlsx)",
     ),
     "a record as rotor": (
         ["convert", "{tmp}/record.csv", "-o", "{tmp}/m.toml"],

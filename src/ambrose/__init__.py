@@ -41,7 +41,7 @@ _HOME = {
     "Machine": "machine.machine",
     "OperatingPoint": "machine.description",
     "save_machine": "machine.file.update",
-    "new_machine": "chain.new_machine",
+    **dict.fromkeys(("machine_from_ross", "new_machine"), "chain.new_machine"),
     "Record": "record.record",
     "StateSpace": "core.statespace",
     "Plant": "model.plant",

@@ -11,12 +11,14 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+import ambrose as amb
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.attachment import mesh, stations
 from ambrose.machine.description import MachineDescription
 from ambrose.machine.file.ross import off_nodes, parse_ross, ross_text, rotor_of_ross
 from ambrose.machine.file.stations import read_rotor, rotor_of_stations
 from ambrose.machine.file.toml import load_machine
+from ambrose.model.effects.magnet import linearised
 from ambrose.model.effects.rotor import (
     finite_element_rotor,
     free_bending_frequencies,
@@ -50,6 +52,34 @@ ROSS_HERTZ = [154.82772345, 343.69550132, 613.17852883, 1027.27555322, 1488.9730
 ROSS_MASS = 246.87036435603625
 ROSS_CENTRE = 0.8276413453580715
 ROSS_POLAR = 0.9154643232219528
+LEFT_OUT = ("SealElement_Seal 1", "kxx = replaced by magnets (BearingElement_7 and 1 more)")
+# Two MagneticBearingElements as ROSS 2.3.0 saves them, a PID's and one of a transfer function, and
+# their k_i and k_s there.
+MAGNETIC = {
+    "ag": 4e-4,
+    "alpha": 0.39269908,
+    "color": "#355d7a",
+    "cxx": [-51893.07605779015, -35129.410792991446],
+    "cyy": [-51893.07605779015, -35129.410792991446],
+    "frequency": [1.0, 1.2067926406393286],
+    "g0": 0.0005,
+    "i0": 2.0,
+    "k_amp": 1,
+    "k_sense": 1,
+    "kd_pid": 30.0,
+    "ki_pid": 1000.0,
+    "kp_pid": 30000.0,
+    "kxx": [1390948.5904788515, 1390948.6637200648],
+    "kyy": [1390948.5904788515, 1390948.6637200648],
+    "mxx": [0, 0],
+    "n": 7,
+    "n_f": 10000,
+    "nw": 120,
+    "scale_factor": 1,
+    "sensors_axis_rotation": 0.78539816,
+    "tag": "AMB A",
+}
+ROSS_MAGNETS = ((53.49801653787705, 213992.0661515082), (55.7271005602886, 278635.50280144304))
 # of what ross_text writes, loaded: a rotor without shear, and one with Hutchinson's coefficient
 ROSS_SEAL_RIG = [550.12368284, 1342.33652743, 2481.90870117]
 ROSS_BLOWER = [466.41408433, 922.54357405, 1968.07429245]
@@ -134,9 +164,7 @@ def test_the_compressor_of_ross_bends_as_in_ross(tmp_path, suffix):
     assert (found.mass, found.centre, found.polar_inertia) == pytest.approx(
         (ROSS_MASS, ROSS_CENTRE, ROSS_POLAR), rel=1e-6
     )
-    assert model.bearings == pytest.approx((0.2355, 1.4255)) and model.left_out == (
-        "SealElement_Seal 1",
-    )
+    assert model.bearings == pytest.approx((0.2355, 1.4255)) and model.left_out == LEFT_OUT
     assert "Seal 1" in model.assumed["seal"] and model.name == "compressor"
 
 
@@ -175,7 +203,7 @@ def test_discs_and_bearings_go_to_ross_where_they_stand():
 
 
 def test_nothing_is_unread_in_a_model_that_says_no_more():
-    assert rotor_of_ross(compressor(), "rotor").left_out == ("SealElement_Seal 1",)
+    assert rotor_of_ross(compressor(), "rotor").left_out == LEFT_OUT
 
 
 @pytest.mark.parametrize(
@@ -207,6 +235,98 @@ def test_every_key_of_ross_that_is_not_read_is_named(change, words):
     change(document)
     model = rotor_of_ross(document, "rotor")
     assert any(words in item for item in model.left_out) and words in model.assumed["rotor"]
+
+
+def levitated():
+    document = compressor()
+    for n in (7, 48):
+        del document[f"BearingElement_{n}"]
+    gains = dict.fromkeys(("kp_pid", "ki_pid", "kd_pid"), 0)
+    other = {**MAGNETIC, **gains, "n": 48, "g0": 0.0006, "i0": [3.0, 3.0], "tag": "AMB B"}
+    return document | {"BearingElement_AMB A": MAGNETIC, "BearingElement_AMB B": other}
+
+
+@pytest.mark.literature
+def test_magnets_of_ross_are_taken_over(tmp_path):
+    """They were read as springs, and every figure of theirs was dropped without a word."""
+    path = tmp_path / "levitated.json"
+    path.write_text(json.dumps(levitated()), encoding="utf-8")
+    machine = amb.machine_from_ross(path, speed="6000 rpm")
+    found = [linearised(bearing) for bearing in machine.bearings]
+    for item, (k_i, k_s) in zip(found, ROSS_MAGNETS, strict=True):
+        assert item.force_per_current == pytest.approx((k_i, k_i), rel=1e-12)
+        assert item.negative_stiffness == pytest.approx((k_s, k_s), rel=1e-12)
+    assert [item.bias_current for item in machine.bearings] == [2.0, 3.0]
+    assert [item.gap for item in machine.bearings] == [0.0005, 0.0006]
+    assert machine.bearings[0].angle == 0.78539816
+    assert machine.bearings[0].max_force == pytest.approx(2 * 53.498, rel=1e-3)
+    assumed = dict(machine.assumed)
+    for words in (
+        "kp_pid = 30000.0 (BearingElement_AMB A)",
+        "n_f = 10000 (BearingElement_AMB A and 1 more)",
+        "controller_transfer_function = not saved (BearingElement_AMB B)",
+    ):
+        assert words in assumed["rotor"]
+    assert not {"bearing.geometry", "bearing.bias_current", "bearing.gap"} & assumed.keys()
+    assert assumed["bearing.max_force"] == "all the current in one of two opposite coils"
+
+
+def test_magnets_whose_axes_differ_are_named():
+    document = levitated()
+    document["BearingElement_AMB B"] |= {"i0": [3.0, 2.0]}
+    model = rotor_of_ross(document, "rotor")
+    assert len(model.magnets) == 1
+    assert any("i0 = [3.0, 2.0] (BearingElement_AMB B)" in item for item in model.left_out)
+    document["BearingElement_AMB A"] = {**MAGNETIC, "g0": 0.0}
+    with pytest.raises(InvalidInput, match="g0, i0, ag and nw must be positive; correct"):
+        rotor_of_ross(document, "rotor.toml")
+
+
+class Rotor:
+    """As a ross.Rotor: it has a tag, and saves itself."""
+
+    tag = "my rotor"
+
+    def __init__(self, document):
+        self.document = document
+
+    def save(self, file):
+        machine = load_machine("seal-rig")
+        springs = {bearing.name: (1e6, 100.0) for bearing in machine.bearings}
+        file.write_text(self.document or ross_text(machine, springs), encoding="utf-8")
+
+
+def test_a_rotor_of_ross_in_memory():
+    machine = amb.machine_from_ross(Rotor(""), speed=1000.0, bearings=("100 mm", 0.5))
+    rig = load_machine("seal-rig")
+    assert (machine.name, machine.source) == ("my-rotor", "ROSS model (version 2.0.0)")
+    assert [bearing.position for bearing in machine.bearings] == [0.1, 0.5]
+    assert machine.operation.speed_range[1] == 1000.0
+    assert [disc.mass for disc in machine.discs] == [disc.mass for disc in rig.discs]
+    np.testing.assert_allclose(
+        hertz(finite_elements(machine), 3), hertz(finite_element_rotor(rig), 3), rtol=1e-6
+    )
+    assert "cxx, cyy, kxx, kyy = replaced" in dict(machine.assumed)["rotor"].replace(
+        "kxx, kyy, cxx, cyy", "cxx, cyy, kxx, kyy"
+    )
+    with pytest.raises(InvalidInput, match="the rotor: it has no ShaftElement, so that"):
+        amb.machine_from_ross(Rotor("[parameters]\n"))
+    with pytest.raises(InvalidInput, match=r"must be a ross\.Rotor; give one, or the path"):
+        amb.machine_from_ross(7)
+
+
+def test_every_element_that_is_left_out_is_named():
+    """From the ninth on they were a count."""
+    document = compressor()
+    document |= {f"SealElement_{i}": {"n": i, "kxx": [1e6]} for i in range(20)}
+    document["ShaftElement_5.0"] |= {f"key_{i}": 1.0 for i in range(20)}
+    assumed = rotor_of_ross(document, "rotor").assumed
+    assert all(f"SealElement_{i}" in assumed["seal"] for i in range(20))
+    assert all(f"key_{i} = 1.0" in assumed["rotor"] for i in range(20))
+    document["ShaftElement_5.0"] |= {f"long_key_{i}": 1.0 for i in range(1000)}
+    model = rotor_of_ross(document, "rotor")
+    assert len(model.assumed["rotor"]) < 6000 and model.assumed["rotor"].endswith("... and more")
+    assert len(model.left_out) > 1000
 
 
 def test_conical_elements_and_two_stiff_layers_are_said():

@@ -9,10 +9,11 @@ and for an imported rotor alike. The rules are those of thumb of Schweitzer & Ma
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,7 @@ from ambrose.machine.description import (
     Requirements,
 )
 from ambrose.machine.file.annotated import annotated_machine
+from ambrose.machine.file.ross import parse_ross, rotor_of_ross
 from ambrose.machine.file.stations import read_rotor
 from ambrose.machine.file.toml import (
     bundled_machines,
@@ -45,9 +47,11 @@ from ambrose.machine.file.toml import (
 )
 from ambrose.machine.file.update import machine_text, save_machine
 from ambrose.machine.machine import Machine
+from ambrose.machine.ordinary_file import TOML_BYTES, file_name, read_text
 from ambrose.machine.part import Disc, Notch, PidSettings, RotorModel, Sensor, ShaftSection
-from ambrose.machine.units import DIMENSIONS, read_quantity
+from ambrose.machine.units import DIMENSIONS, quoted, read_quantity
 from ambrose.model.assemble import assemble, bending_modes_of, in_plane
+from ambrose.model.effects.magnet import linearised
 from ambrose.model.effects.rotor import (
     STANDARD_GRAVITY,
     finite_element_rotor,
@@ -291,6 +295,40 @@ def new_machine(
     return machine_of_rotor(rotor, Known(vertical=vertical, rate=rate, sensors=seen, **quantities))
 
 
+def machine_from_ross(
+    rotor: Any,
+    *,
+    speed: float | str | None = None,
+    bearings: Sequence[float | str] = (),
+    vertical: bool = False,
+) -> Machine:
+    """The machine of a ``ross.Rotor``, or of a file that its ``save`` wrote (*.toml, *.json).
+
+    Active magnetic bearings keep their magnets; in the place of others magnets are chosen as by
+    ``new_machine``. speed [rad/s, or a text with a unit]: the highest; bearings [m, or texts]: the
+    magnets' places instead of the rotor's. ``machine.assumed`` names what was chosen, and under
+    "rotor" and "seal" every key and element of the rotor that was not used (as many as 5,000
+    characters hold). Raises InvalidInput.
+    """
+    if isinstance(rotor, (str, Path)):
+        model = read_rotor(rotor)
+    elif callable(getattr(rotor, "save", None)):
+        with TemporaryDirectory() as folder:
+            rotor.save(file := Path(folder) / "rotor.toml")
+            text = read_text(file, "rotor model", TOML_BYTES)
+        model = rotor_of_ross(parse_ross(text, "the rotor", ".toml"), "the rotor")
+        model = replace(model, name=file_name(str(getattr(rotor, "tag", None) or "rotor")))
+    else:
+        raise InvalidInput(
+            f"the rotor is {quoted(rotor)}, but must be a ross.Rotor; give one, or the path of a "
+            "file that its save wrote"
+        )
+    places = tuple(quantity_of("bearings", place) for place in bearings)
+    fastest = model.speed if speed is None else quantity_of("speed", speed)
+    model = replace(model, speed=fastest, bearings=places or model.bearings)
+    return machine_of_rotor(model, Known(vertical=vertical))
+
+
 def text_of_file(path: Path, speed: str = "") -> str:
     """The text of the machine file that a file gives: its own, or that of a rotor alone (a model of
     ROSS, a table of stations) on magnets chosen for it; speed: its highest one, where it has none.
@@ -388,7 +426,15 @@ def machine_of_rotor(rotor: RotorModel, known: Known | None = None) -> Machine:
     loads = shares(mass * STANDARD_GRAVITY, centre, places)
     bearing = _magnet(known, bare, float(max(loads)), mass / len(places) * _GRADE * speed, reasons)
     names = [chr(ord("A") + i) if len(places) <= 26 else f"B{i + 1}" for i in range(len(places))]
-    pole = math.sqrt(_stiffness(bearing) * len(places) / mass)
+    bearings = tuple(
+        _placed(replace(bearing, name=name, position=place), rotor.magnets.get(place))
+        for name, place in zip(names, places, strict=True)
+    )
+    if all(place in rotor.magnets for place in places):
+        own = {f"bearing.{key}" for key in ("geometry", "gap", "bias_current")}
+        reasons = {key: why for key, why in reasons.items() if key not in own}
+        reasons["bearing.max_force"] = "all the current in one of two opposite coils"
+    pole = math.sqrt(sum(map(_stiffness, bearings)) / mass)
     fast = max(speed, pole) / (2 * math.pi)
     sampling = known.rate or (10e3 if fast <= 400 else 5e3 * math.ceil(fast * 25 / 5e3))
     reasons |= {
@@ -406,10 +452,7 @@ def machine_of_rotor(rotor: RotorModel, known: Known | None = None) -> Machine:
         name=rotor.name,
         shaft=rotor.shaft,
         discs=rotor.discs,
-        bearings=tuple(
-            replace(bearing, name=name, position=place)
-            for name, place in zip(names, places, strict=True)
-        ),
+        bearings=bearings,
         sensors=tuple(map(Sensor, names, known.sensors))
         if known.sensors
         else _sensors(bare, names, places, reasons),
@@ -559,11 +602,29 @@ def _magnet(
     return replace(bearing, geometry=replace(geometry, turns=turns, pole_area=float(f"{area:.9g}")))
 
 
+def _placed(bearing: MagneticBearing, stated: Mapping[str, float] | None) -> MagneticBearing:
+    """The bearing, of the magnets that the rotor's source states for its place."""
+    if not stated:
+        return bearing
+    bias, gap = stated["bias_current"], stated["gap"]
+    shape = {key: value for key, value in stated.items() if key not in {"bias_current", "angle"}}
+    made = replace(
+        bearing,
+        bias_current=bias,
+        angle=stated.get("angle", bearing.angle),
+        geometry=MagnetGeometry(**shape),
+        force_per_current=None,
+        negative_stiffness=None,
+        gap=gap,
+        touchdown_gap=rounded(gap / 2, 6),
+        max_current=bias,
+    )
+    return replace(made, max_force=rounded(linearised(made).force_per_current[0] * bias, 3))
+
+
 def _stiffness(bearing: MagneticBearing) -> float:
     if bearing.negative_stiffness is not None:
         return bearing.negative_stiffness[0]
-    from ambrose.model.effects.magnet import linearised
-
     return linearised(bearing).negative_stiffness[0]
 
 

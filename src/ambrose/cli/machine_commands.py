@@ -27,6 +27,7 @@ from ambrose.terminal import (
 
 if TYPE_CHECKING:
     from ambrose.judge.result import Synthesis
+    from ambrose.machine.machine import Machine
 
 
 # `ambrose machines` and `ambrose check`.
@@ -480,9 +481,12 @@ def convert(
     does with its options.
 
     As a machine file (*.toml): a rotor model of ROSS (*.toml, *.json) or a table of stations
-    (*.csv), on magnets chosen as `ambrose new` does; a machine file, or a bundled machine's name,
-    becomes a model of ROSS.
+    (*.csv, *.xlsx), on magnets chosen as `ambrose new` does; a machine file, or a bundled machine's
+    name, becomes a model of ROSS.
+
+    As a table of stations (*.csv, *.xlsx): the rotor of a machine or of such a model.
     """
+    from ambrose.machine.file.toml import bundled_machines
     from ambrose.record.files import check_suffix, read_record, write_record
     from ambrose.record.foreign import read_foreign
     from ambrose.record.response_files import (
@@ -496,6 +500,10 @@ def convert(
         write_imported(record, None, output, as_json)
     if output.suffix.lower() == ".toml":
         _convert_machine(record, output, speed, bearings, vertical, as_json)
+        return
+    rotor = record.suffix.lower() in {".toml", ".xlsx"} or str(record) in bundled_machines()
+    if output.suffix.lower() == ".xlsx" or (output.suffix.lower() == ".csv" and rotor):
+        _convert_to_stations(record, output, as_json)
         return
     check_suffix(output)
     claim(record=output)
@@ -521,6 +529,54 @@ def convert(
         f"{output}: {count / rate:.6g} s at {rate:.6g} Hz, {len(result.signals)} signals "
         f"({signals})"
     )
+    say_json(summary) if as_json else say(words)
+
+
+def _left_out(machine: Machine) -> list[str]:
+    """What of a machine the models and tables of its rotor do not hold."""
+    left = [*(seal.name for seal in machine.seals), *(part.name for part in machine.attached)]
+    left += [f"support of {item.bearing}" for item in machine.supports]
+    left += [f"{len(machine.casing_modes)} casing modes"] * bool(machine.casing_modes)
+    left += [f"{len(machine.bending_modes)} measured bending modes"] * bool(machine.bending_modes)
+    return left
+
+
+def _convert_to_stations(source: Path, output: Path, as_json: bool) -> None:
+    from ambrose.chain.new_machine import is_machine
+    from ambrose.core.checks import InvalidInput
+    from ambrose.machine.attachment import stations
+    from ambrose.machine.file.ross import off_nodes
+    from ambrose.machine.file.stations import read_rotor, write_stations
+    from ambrose.machine.file.toml import load_machine
+    from ambrose.machine.part import RotorModel
+
+    if output.exists():
+        raise InvalidInput(
+            f"{output} exists already; choose another name with -o, or remove the file"
+        )
+    machine = load_machine(source) if is_machine(source) else None
+    rotor = (
+        read_rotor(source)
+        if machine is None
+        else RotorModel(
+            machine.name,
+            machine.shaft,
+            machine.discs,
+            tuple(bearing.position for bearing in machine.bearings),
+            beam_theory=machine.beam_theory,
+        )
+    )
+    left = [*rotor.left_out]
+    if machine is not None:
+        left += ["magnets, sensors and controller", *_left_out(machine)]
+    moved = {} if machine is None else off_nodes(machine)
+    left += [f"{1e6 * away:.3g} um of the place of {name}" for name, away in moved.items()]
+    if rotor.beam_theory != "timoshenko":
+        left.append(f"beam theory {rotor.beam_theory} (a table is read as timoshenko)")
+    claim(table_of_stations=output)
+    count = write_stations(output, rotor, () if machine is None else stations(machine))
+    summary = {"stations": str(output), "rows": count, "left_out": left}
+    words = f"{output}: {count} stations; left out: {', '.join(left) or 'nothing'}"
     say_json(summary) if as_json else say(words)
 
 
@@ -550,13 +606,7 @@ def _convert_machine(
         machine = load_machine(source)
         claim(rotor_model=output)
         write_text(output, ross_text(machine, springs(machine)), "rotor model")
-        left = [*(seal.name for seal in machine.seals), *(part.name for part in machine.attached)]
-        left += [f"support of {item.bearing}" for item in machine.supports]
-        left += [f"{len(machine.casing_modes)} casing modes"] * bool(machine.casing_modes)
-        left += [f"{len(machine.bending_modes)} measured bending modes"] * bool(
-            machine.bending_modes
-        )
-        moved = off_nodes(machine)
+        left, moved = _left_out(machine), off_nodes(machine)
         summary: dict[str, object] = {
             "rotor_model": str(output),
             "left_out": left,

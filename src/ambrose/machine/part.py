@@ -229,7 +229,9 @@ class BendingMode(Part):
 class RotorModel:
     """shaft and discs as in a machine; bearings [m]: where they stand (empty: not said); speed
     [rad/s]: the highest (None: not said). assumed: what was chosen on the way and why, by key;
-    left_out: what the source holds and this does not, in words.
+    left_out: what the source holds and this does not, in words. magnets: what the source says of
+    those at a place [m]: turns, pole_area [m^2], gap [m], bias_current [A], pole_half_angle and
+    angle [rad].
     """
 
     name: str
@@ -241,6 +243,7 @@ class RotorModel:
     source: str = ""
     assumed: Mapping[str, str] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
+    magnets: Mapping[float, Mapping[str, float]] = field(default_factory=dict)
 
 
 # Annular seals as the user writes them down: constants, tables, or the geometry from which a flow

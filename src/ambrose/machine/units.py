@@ -92,6 +92,11 @@ _SAME = {  # other spellings
     "rad/minute": "rad/min",
     "°/s": "deg/s",
     "mils": "mil",
+    "in.": "in",
+    # a pound times seconds squared can only be one of force
+    "lb s2/in": "lbf s2/in",
+    "lb s2/in4": "lbf s2/in4",
+    **dict.fromkeys(("lb s2 in", "lb in s2"), "lbf s2 in"),
     **{f"{prefix}Nm": f"{prefix}N m" for prefix in ("", "m", "k")},
     "Nmm": "N mm",
 }
@@ -233,7 +238,9 @@ def canonical_unit(text: str) -> str:
         ("\u2126", "ohm"),
     ):
         text = text.replace(old, new)
+    text = re.sub(r"(?<=\w)-(?=[A-Za-z])", " ", text)  # lbf-s2/in
     text = re.sub(r"\s*/\s*", "/", " ".join(text.split()))
+    text = re.sub(r"\blbm\b", "lb", text)
     return _SAME.get(text, text)
 
 

@@ -3,8 +3,8 @@ loads it.
 
 A ROSS file holds a table per element, "Class_tag". Shaft elements at one node lie in layers: those
 without stiffness are laminations and sleeves, which a machine states by ``mass_diameter``. Bearings
-become places for magnets; seals, supports and forces are left out, and named, and so is every key
-that is not read and says something.
+become places for magnets, of the geometry that a MagneticBearingElement states; seals, supports and
+forces are left out, and named, and so is every key that is not read and says something.
 """
 
 from __future__ import annotations
@@ -14,13 +14,14 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
+from textwrap import shorten
 from typing import Any
 
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.machine.attachment import mesh, node_positions, stations
 from ambrose.machine.file.toml import parse_toml, written, written_key
 from ambrose.machine.machine import Machine
-from ambrose.machine.ordinary_file import TOML_BYTES, parse_json
+from ambrose.machine.ordinary_file import TEXT, TOML_BYTES, parse_json
 from ambrose.machine.part import Disc, Material, RotorModel, ShaftSection
 
 _SOFT = 1e-3  # of the stiffest material at a node: a layer below carries mass only
@@ -29,6 +30,18 @@ _GRADED = 1e-9  # relative difference of two diameters or lengths that is roundi
 # keys of its elements that change no number, and the values of others that the machine has anyway
 _IDLE = ("tag", "name", "color", "scale_factor", "Poisson", "specific_heat", "thermal_conductivity")
 _NEUTRAL = {"gyroscopic": True, "shear_method_calc": "cowper"}
+# of an active magnetic bearing, which ROSS 2.3 saves as a BearingElement
+_MAGNET = {
+    "g0": "gap",
+    "i0": "bias_current",
+    "ag": "pole_area",
+    "nw": "turns",
+    "alpha": "pole_half_angle",
+    "sensors_axis_rotation": "angle",
+}
+_LONG = TEXT // 2  # characters of a list in a machine file
+_GAINS = ("kp_pid", "ki_pid", "kd_pid")
+_COEFFICIENT = re.compile("[kcm][xyz]{2}|frequency")  # what a magnetic bearing computes anew
 
 _Row = Mapping[str, Any]
 
@@ -50,7 +63,7 @@ def parse_ross(text: str, name: str, suffix: str) -> dict[str, Any]:
 
 GIVE = (
     "a machine file is made of what Rotor.save of ROSS wrote (*.toml, *.json) or of a table of "
-    "stations (*.csv)"
+    "stations (*.csv, *.xlsx)"
 )
 
 
@@ -82,6 +95,7 @@ def rotor_of_ross(document: Mapping[str, Any], name: str) -> RotorModel:
     sections = merged(sections)
     discs = list[Disc]()
     bearings = list[float]()
+    magnets = dict[float, dict[str, float]]()
     left = list[str]()
     for key, row in rows:
         kind = key.partition("_")[0]
@@ -92,6 +106,8 @@ def rotor_of_ross(document: Mapping[str, Any], name: str) -> RotorModel:
             discs.append(_disc(name, key, row, at, len(discs) + 1))
         elif "Bearing" in kind and at is not None:
             bearings.append(at)
+            if stated := _magnet(name, key, row):
+                magnets[at] = stated
         else:
             left.append(key)
     flags = [layers[0].get(flag, True) for flag in ("shear_effects", "rotary_inertia")]
@@ -105,10 +121,10 @@ def rotor_of_ross(document: Mapping[str, Any], name: str) -> RotorModel:
         )
     unread = _unread(document, rows, theory)
     if unread:
-        rest = f"; and {len(unread) - 8} more" if len(unread) > 8 else ""
-        assumed["rotor"] = f"not taken over from the model of ROSS: {'; '.join(unread[:8])}{rest}"
+        items = shorten("; ".join(unread), _LONG, placeholder=" ... and more")
+        assumed["rotor"] = f"not taken over from the model of ROSS: {items}"
     if left:
-        names = ", ".join(left[:8]) + (f" and {len(left) - 8} more" if len(left) > 8 else "")
+        names = shorten(", ".join(left), _LONG, placeholder=" ... and more")
         assumed["seal"] = f"the ROSS model also contains {names}: left out"
     version = document.get("ross_version", "unknown")
     speed = (
@@ -126,6 +142,7 @@ def rotor_of_ross(document: Mapping[str, Any], name: str) -> RotorModel:
         f"ROSS model (version {version})",
         assumed,
         (*left, *unread),
+        magnets,
     )
 
 
@@ -162,6 +179,16 @@ def _unread(
             mass = row["m"] if row.get("m") is not None else row.get("mx")
             alike = [key for key in ("mx", "my", "mz") if row.get(key) == mass]
             note(name, row, ("n", "m", "mx", "Id", "Ip", *alike))
+        elif "Bearing" in kind and "n" in row:
+            magnetic = bool(_magnet("", name, row))
+            idle = [key for key in row if _COEFFICIENT.fullmatch(key)]
+            note(name, row, ("n", *idle, *(_MAGNET if magnetic else ())))
+            if magnetic and not any(row.get(key) for key in _GAINS):
+                found.setdefault(("controller_transfer_function", "not saved"), []).append(name)
+            elif not magnetic and (
+                springs := [key for key in idle if str(row[key]).strip("[0., ]")]
+            ):
+                found.setdefault((", ".join(springs), "replaced by magnets"), []).append(name)
     return tuple(
         f"{key} = {value} ({places[0]}{f' and {len(places) - 1} more' if places[1:] else ''})"
         for (key, value), places in found.items()
@@ -205,6 +232,24 @@ def _number(name: str, key: str, row: _Row, entry: str) -> float:
             "save the rotor anew with ROSS",
         )
     return float(value)
+
+
+def _magnet(name: str, key: str, row: _Row) -> dict[str, float]:
+    """What an active magnetic bearing says of its magnets; nothing for another bearing, or where
+    its axes differ. Raises InvalidInput.
+    """
+    values = {their: row[their] for their in _MAGNET if their in row}
+    axes = {their: {*v} if isinstance(v, list) else {v} for their, v in values.items()}
+    needed = ("g0", "i0", "ag", "nw")
+    if not {*needed} <= axes.keys() or any(len(values) != 1 for values in axes.values()):
+        return {}
+    said = {their: value for their, (value,) in axes.items()}
+    numbers = {their: _number(name, key, said, their) for their in said}
+    if min(numbers[their] for their in needed) <= 0:
+        raise InvalidInput(
+            f"{name}: [{key}]: g0, i0, ag and nw must be positive; correct the element"
+        )
+    return {_MAGNET[their]: value for their, value in numbers.items()}
 
 
 def _layer(name: str, key: str, row: _Row) -> dict[str, Any]:
