@@ -171,7 +171,7 @@ def page(names):
     rows = "\n".join(description(name) for name in names)
     return f"""# Bundled machines
 
-`ambrose machines` lists them. Each is a [machine file](../machine-file.md) to start from, `src/ambrose/machines/NAME.toml`, with
+`ambrose machines` lists them. Each is a [machine file](machine-file.md) to start from, `src/ambrose/machines/NAME.toml`, with
 its chosen figures under `[machine.assumed]`. Rotors from books have our own magnets. [What every command gives on
 them](../research/machines.md).
 

@@ -56,7 +56,7 @@ def on_files(files, config):
         **notebooks.pages(),
         **reference.pages(),
         "reference/command-line.md": command_line.page(),
-        "scenario-file.md": scenario_file.page(),
+        "reference/scenario-file.md": scenario_file.page(),
         "contributing.md": from_root("CONTRIBUTING.md"),
         "changelog.md": from_root("CHANGELOG.md"),
     }
@@ -72,7 +72,7 @@ def on_page_markdown(markdown, page, config, files):
         text = render(markdown, stored())
     except UnknownFigure as error:
         raise PluginError(f"{page.file.src_uri}: {error}") from error
-    if page.file.src_uri == "machine-file.md":
+    if page.file.src_uri == "reference/machine-file.md":
         text = machine_file.render(text)
     return re.sub(r"<!-- (run|files|python):?.*?-->\n?", "", text, flags=re.DOTALL)
 

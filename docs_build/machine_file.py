@@ -1,4 +1,4 @@
-"""What docs/machine-file.md leaves to the program: the rows of every table's keys, the units, the
+"""What docs/reference/machine-file.md leaves to the program: the rows of every table's keys, the units, the
 limits.
 
 A comment holds the place: ``<!-- keys -->`` below the heading of a table, ``<!-- units -->``,

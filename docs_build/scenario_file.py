@@ -31,7 +31,7 @@ from the first axis of its port in the direction of spin: from x at a disc or a 
 
 
 def page():
-    """scenario-file.md."""
+    """reference/scenario-file.md."""
     shares = ", ".join(f"`{name}`" for name in _QUANTITIES)
     parts = [
         HEAD.format(shares=shares),

@@ -13,6 +13,17 @@ def test_five_tabs_hold_every_page_once():
     assert sorted(pages) == sorted(path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md"))
 
 
+def test_pages_lie_in_the_folder_of_their_tab():
+    """machine-file.md lay outside that of Reference."""
+    astray = [
+        page
+        for tab, pages in tabs().items()
+        for page in pages
+        if page.partition("/")[0] not in {tab.lower().replace(" ", "-"), "index.md"}
+    ]
+    assert astray == []
+
+
 @pytest.mark.parametrize("page", tabs()["How to"])
 def test_a_how_to_page_holds_one_task(page):
     assert words(page) <= MOST_HOW_TO, (

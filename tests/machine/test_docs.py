@@ -1,4 +1,4 @@
-"""docs/machine-file.md has a section for every table, whose keys the program writes into it; its
+"""docs/reference/machine-file.md has a section for every table, whose keys the program writes into it; its
 example is a machine.
 """
 
@@ -12,7 +12,9 @@ from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.machine.parameters import quantities
 from ambrose.machine.units import DIMENSIONS
 
-WRITTEN = (Path(__file__).parents[2] / "docs" / "machine-file.md").read_text(encoding="utf-8")
+WRITTEN = (Path(__file__).parents[2] / "docs" / "reference" / "machine-file.md").read_text(
+    encoding="utf-8"
+)
 PAGE = render(WRITTEN)
 
 
@@ -21,7 +23,7 @@ def test_every_key_has_its_row(heading):
     section = re.search(
         rf"^###? `{re.escape(heading)}`\n(.*?)(?=^##|\Z)", PAGE, re.DOTALL | re.MULTILINE
     )
-    assert section, f"docs/machine-file.md lacks a section for {heading}"
+    assert section, f"docs/reference/machine-file.md lacks a section for {heading}"
     for name, field in headings()[heading].model_fields.items():
         inner = heading.strip("[]").replace("NAME", "titanium")
         if not any(each.strip("[]").startswith(f"{inner}.{name}") for each in headings()):

@@ -171,7 +171,7 @@ def test_a_scenario_and_a_column_map_have_the_limits_of_a_file(tmp_path):
     "page, numbers",
     [
         (
-            "machine-file.md",
+            "reference/machine-file.md",
             [
                 limits.ELEMENTS,
                 limits.SEAL_POLES,
@@ -200,13 +200,13 @@ def test_a_scenario_and_a_column_map_have_the_limits_of_a_file(tmp_path):
 )
 def test_the_limits_are_documented(page, numbers):
     text = (HERE.parents[2] / "docs" / page).read_text(encoding="utf-8")
-    text = machine_file.render(text) if page == "machine-file.md" else text
+    text = machine_file.render(text) if page == "reference/machine-file.md" else text
     assert [
         number
         for number in numbers
         if f" {number:,} ".replace(",", " ") not in text.replace("|", " ").replace("\n", " ")
     ] == []
-    if page == "machine-file.md":
+    if page == "reference/machine-file.md":
         missing = [
             key for key, most in limits.TABLES.items() if f"tables `{key}` | {most} |" not in text
         ]

@@ -485,7 +485,7 @@ def _remove(lock: Path) -> None:
 
 
 # What a file may hold at most; beyond it is refused before anything is built. Stated for users in
-# docs/machine-file.md and docs/reference/records.md.
+# docs/reference/machine-file.md and docs/reference/records.md.
 #
 # Machine: what a real machine needs with room to spare, and what all commands still do in minutes.
 # Records: what a computer's memory holds.
