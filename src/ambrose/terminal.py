@@ -353,25 +353,18 @@ def load_controller(path: Path, machine: Machine) -> Synthesis:
     """A controller file, of one that holds all axes the part of a machine that is the thrust axis;
     that it was made for another machine, or before the machine file was changed, is noted.
     """
-    from ambrose.judge.controller_file import read_controller
-    from ambrose.machine.file.toml import machine_hash
+    from ambrose.judge.controller_file import made_for, read_controller
     from ambrose.machine.machine import THRUST
 
     result = read_controller(path, machine)
     if machine.group == THRUST and result.thrust is not None:
         result = replace(result.thrust, file=result.file)
-    provenance = result.provenance
-    if not provenance.date:  # a table of another program
+    if not result.provenance.date:  # a table of another program
         dt = result.controller.dt
         kind = "continuous" if dt is None else f"sampled at {1 / dt:.6g} Hz"
         words = "; ".join((f"{result.controller.n_states} states", kind, *result.notes))
         say(f"note: {path}: {words}", err=True)
-    if provenance.machine_hash not in {None, machine_hash(machine)}:
-        other = (
-            f"another machine, {provenance.machine}"
-            if provenance.machine != machine.name
-            else f"other numbers of {machine.name}"
-        )
+    if other := made_for(result.provenance, machine):
         say(
             f"note: {path} was made for {other}; results are for {machine.name} as given",
             err=True,

@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -133,3 +134,54 @@ def test_an_analysis_that_is_refused_does_not_pass(place, monkeypatch):
     assert "no lateral analysis" in result.verdict
     assert any("take another" in text for text in result.not_judged)
     assert not replace(green, refused=("landing",)).passed and replace(green, refused=()).passed
+
+
+def test_what_verify_leaves_open_stands_in_the_review(place):
+    """A changing seal pressure was told by verify alone, another machine's controller on standard
+    error alone.
+    """
+    folder, _ = place
+    machine = amb.load_machine(folder / "rotor.toml")
+    other = replace(machine, name="other")
+    result = amb.review(other, folder / "pid.json")
+    assert any(f"made for another machine, {machine.name}" in text for text in result.not_judged)
+    assert "made for" not in "".join(amb.review(machine, folder / "pid.json").not_judged)
+    rig = replace(amb.load_machine("seal-rig"), tolerances=())
+    result = amb.review(rig, amb.design(rig, "pid"))
+    assert any("changing seal pressure" in text for text in result.not_judged)
+
+
+def test_a_review_is_all_of_one_run(place, tmp_path):
+    """A landing of an earlier review stayed beside it; a refused controller left a folder; the
+    machine file of a rotor model was written over with what its user had changed.
+    """
+    folder, _ = place
+    out = tmp_path / "out"
+    refused = call("review", folder / "rotor.toml", tmp_path / "none.json", "-o", out)
+    assert refused.exit_code == 2 and not out.exists()
+    out.mkdir()
+    (out / "landing.html").write_text("of another machine")
+    done = call("review", folder / "rotor.toml", folder / "pid.json", "-o", out)
+    assert done.exit_code in {0, 1} and not (out / "landing.html").exists()
+    assert (out / "earlier-landing.html").exists() and (out / "review.html").exists()
+    (tmp_path / "rotor.csv").write_text("length [mm], outer diameter [mm]\n300, 40\n300, 40\n")
+    words = ("review", tmp_path / "rotor.csv", folder / "pid.json", "-o", tmp_path / "new")
+    call(*words, "--speed", "9000 rpm")
+    file = tmp_path / "new" / "machine.toml"
+    text = file.read_text(encoding="utf-8")
+    assert "list of the controller's inputs" in call(*words, "--speed", "9000 rpm").stderr
+    file.write_text(text.replace("name =", "# mine\nname =", 1), encoding="utf-8")
+    again = call(*words, "--speed", "9000 rpm")
+    assert again.exit_code == 2 and "take that file in place of" in again.stderr
+    assert "# mine" in file.read_text(encoding="utf-8")
+
+
+def test_the_table_of_the_page_holds_its_machine(tmp_path):
+    """It stated neither its sign nor its unit, so that all commands but convert found it
+    unstable.
+    """
+    page = Path(__file__).parents[2] / "docs" / "how-to" / "own-controller.md"
+    table = re.search(r"```csv title=\"vendor.csv\"\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
+    (tmp_path / "vendor.csv").write_text(table[1])
+    verdict = amb.verify(RIG, tmp_path / "vendor.csv", points="rest", tolerances=False)
+    assert verdict.stable

@@ -251,3 +251,13 @@ def test_a_loop_that_is_unstable_without_the_block_is_named_not_the_block():
     own = spectral_abscissa(item.loop.sampled(1300 * RPM, item.conditions[0]))
     assert 0 < check.value <= 1.02 * own
     assert "stabilise the loop" in check.detail
+
+
+def test_a_range_that_is_stated_is_not_asked_for():
+    """Of an unstable loop nothing is checked between the points; the file states its range."""
+    machine = amb.load_machine("turboexpander")
+    K = amb.design(machine, "pid").controller
+    lost = replace(K, C=-K.C, D=-K.D)
+    found = amb.verify(machine, lost, tolerances=False)
+    assert not found.stable and machine.operation.speed_range[1] > 0
+    assert found.between == "nothing between their speeds"

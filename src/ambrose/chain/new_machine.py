@@ -373,7 +373,13 @@ def machine_file_of(
             raise InvalidInput("--speed and --bearings are of a rotor model; leave them out")
         return source, ""
     rotor = rotor_with(Path(source), speed, bearings)
-    save_machine(machine_of_rotor(rotor), output)
+    machine = machine_of_rotor(rotor)
+    if output.is_file() and read_machine_text(output) != machine_text(machine):
+        raise InvalidInput(
+            f"{output} is there already, with other numbers; take that file in place of {source}, "
+            "or remove it"
+        )
+    save_machine(machine, output)
     return str(output), ", ".join(rotor.left_out) or "nothing"
 
 

@@ -257,6 +257,18 @@ def controller_schema() -> dict[str, Any]:
     return {**head, **made, **head}
 
 
+def made_for(known: Provenance, machine: Machine) -> str:
+    """For which other machine, or other numbers of this one, a controller of that provenance was
+    made, in words; "": for this one, or nothing is known.
+    """
+    from ambrose.machine.file.toml import machine_hash
+
+    if known.machine_hash in {None, machine_hash(machine)}:
+        return ""
+    other = known.machine != machine.name
+    return f"another machine, {known.machine}" if other else f"other numbers of {machine.name}"
+
+
 def write_controller(
     path: str | os.PathLike[str],
     result: LawLike,

@@ -893,9 +893,10 @@ def _checks(
         wanted = Demand(float(len(plant.axes)), ">=", "")
         title = "Axes whose sensitivity the responses tell"
         checks.append(judge("sensitivity.told", title, float(len(axes)), "-", wanted, reason))
+        every = "max"
         checks.append(
             judge(
-                "sensitivity.output.max",
+                f"sensitivity.output.{every}",
                 f"Peak output sensitivity, {ALL_AXES}",
                 np.nan,
                 "-",

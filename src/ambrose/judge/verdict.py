@@ -525,7 +525,10 @@ def _between(law: Law, plants: Sequence[Plant], points: Sequence[Checks]) -> str
         low, high = (30 / np.pi * end for end in _speeds_covered(law, plants[0]))
         return f"speeds from {low:,.6g} to {high:,.6g} rpm (searched)"
     several = len({plant.point.speed for plant in plants}) > 1
-    return "nothing between their speeds (state speed_range)" if several else ""
+    machine = plants[0].machine
+    stated = (machine.whole or machine).operation.speed_range[1] > 0
+    remedy = "" if stated else " (state speed_range)"
+    return f"nothing between their speeds{remedy}" if several else ""
 
 
 def verify_ranges(

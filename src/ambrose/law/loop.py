@@ -107,8 +107,9 @@ def laws_of(
         _check_exchanged(law.inputs, along.inputs, machine.groups)
     laws = {RADIAL: law, THRUST: law.thrust if along is None else along}
     if machine.group == THRUST:
-        laws = {THRUST: law.thrust or law}
-        check_side(laws[THRUST].inputs, machine)
+        own = law.thrust or law
+        check_side(own.inputs, machine)
+        laws = {THRUST: own}
     return {
         name: (group, known)
         for name, group in groups.items()

@@ -44,6 +44,7 @@ from ambrose.record.text_uff import ABSCISSA, Variable, refuse_encoding, refuse_
 
 FORMAT = "ambrose responses"
 _PLAIN = {".csv", ".txt", ".dat", ".asc", ".uff", ".unv"}  # that no library reads
+_TABLE = "point,response,input,output,"  # how the table of `ambrose frf --csv NAME.csv` begins
 _PATH_KEYS = ("quantity", "read", "injected", "at")
 _CYCLE = 2 * np.pi  # [rad]
 _TURNS = 8  # by which no phase turns within a sweep: then it is in degrees
@@ -160,7 +161,7 @@ def holds_responses(path: str | File) -> bool:
             return False
         with path.open(encoding="utf-8-sig") as lines:
             head = next((x for x in lines if x.strip() and x[0] != "#"), "")[:1000]
-        return head.strip().lower().startswith("freq")
+        return head.strip().lower().startswith(("freq", _TABLE))  # the table to be named
     except (InvalidInput, *DAMAGE):
         return False
 
@@ -224,6 +225,11 @@ def _own_map(path: File) -> ResponseMap:
                 break
             key, _, value = line[1:].partition(":")
             said[key.strip()] = value.strip()
+    if head.startswith(_TABLE):
+        raise InvalidInput(
+            "it is the table of ambrose frf, for people; write the responses with --csv NAME.h5, "
+            "which every command takes"
+        )
     refuse_separators(head)
     remedy = "add lines such as '# speed_rad_s: 0' above the header, or give a column map"
     for key in ("machine", "speed_rad_s", "seal_pressure_pa"):

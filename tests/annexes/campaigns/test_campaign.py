@@ -445,6 +445,10 @@ def test_what_no_case_can_use_is_refused_before_any_is_computed(
         b'{"key": "a", "failure": "", "values": {"outcome": 3}}\n',
         b'{"key": "a", "failure": "", "values": {"x": NaN}}\n',
         b'{"key": "a", "failure": "", "values": {"x": 1e999}}\n',
+        *(
+            b'{"key": "a", "failure": "", "values": {"%s": 1}}\n' % name
+            for name in (b"", b" ", b"x ", b"a/b", b"a\\u0007", b"a\\n")
+        ),
     ],
 )
 def test_a_foreign_file_of_rows_is_refused_and_kept(tmp_path, content):
@@ -452,6 +456,15 @@ def test_a_foreign_file_of_rows_is_refused_and_kept(tmp_path, content):
     with pytest.raises(amb.InvalidInput, match="no row of a campaign; move the file away"):
         computed(plan(), tmp_path)
     assert (tmp_path / ROWS).read_bytes() == content
+
+
+@pytest.mark.parametrize("name", ["failure", "key", "case", *VARY])
+def test_a_result_in_the_name_of_a_column_is_refused(tmp_path, name):
+    case = next(plan().drawn())
+    row = {"key": case.key, "failure": "", "values": {name: 1.0}}
+    (tmp_path / ROWS).write_text(json.dumps(row) + "\n")
+    with pytest.raises(amb.InvalidInput, match="one of the plan's columns; move the file away"):
+        read_campaign(plan(), tmp_path)
 
 
 def test_what_stands_for_a_file_of_rows_and_is_none_is_refused(tmp_path):

@@ -208,3 +208,15 @@ def test_a_design_that_the_responses_do_not_tell_is_kept(monkeypatch):
     done = as_measured(amb.design(machine(), "pid"), plant, response, None, None)
     assert done.missed and done.status == "verified"
     assert done.notes[-1].startswith("cold, measured: the responses do not show")
+
+
+@pytest.mark.parametrize("line", ["record check {} seal-rig", "accept seal-rig K.json {}",
+                                  "verify seal-rig --measured {}"])  # fmt: skip
+def test_the_table_of_frf_is_named_and_what_to_write_instead(tmp_path, monkeypatch, line):
+    """Each command took it for something else that was damaged."""
+    monkeypatch.chdir(tmp_path)
+    write_controller("K.json", law())
+    head = "point,response,input,output,frequency_hz,real,imag,magnitude,phase_deg,radius_95"
+    FilePath("sweep.csv").write_text(f'{head}\n"zero",motion,e_A_zeta,y_A_zeta,3,1,1,1,0,0\n')
+    done = CliRunner().invoke(main, line.format("sweep.csv").split())
+    assert done.exit_code == 2 and "with --csv NAME.h5" in done.stderr

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from ambrose.annexes.campaigns.plan import Plan, Subject, Value, number_of
 from ambrose.annexes.campaigns.run import PEAK, ROWS, checks_of, rows_of, run
-from ambrose.core.checks import InvalidInput, check_shape
+from ambrose.core.checks import InvalidInput, check_shape, invalid
 from ambrose.core.presentation import Presented, data_frame, in_words
 from ambrose.machine.machine import Machine
 from ambrose.machine.ordinary_file import draft_of, write_text
@@ -280,6 +280,14 @@ def read_campaign(plan: Plan, directory: str | Path) -> Campaign:
             [case.settings[i][1] for case in cases]
         )
     names = dict.fromkeys(name for row in stored.values() for name in row["values"])
+    columns = {"key", "failure", "case", *settings, *(p.replace("*", "all") for p in settings)}
+    if twice := columns & names.keys():
+        raise invalid(
+            f"a name in {Path(directory) / ROWS}",
+            sorted(twice)[0],
+            "the name of a result",
+            "it is one of the plan's columns; move the file away to begin anew",
+        )
     rows = [stored.get(case.key) for case in cases]
     values = {
         name: _value([None if row is None else row["values"].get(name) for row in rows])

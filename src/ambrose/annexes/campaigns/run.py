@@ -654,8 +654,10 @@ def _parsed(line: bytes, path: Path) -> dict[str, Any]:
 
 def _fits(name: str, value: object) -> bool:
     """Whether a value of a row is what every task writes under its name: words under some, and a
-    number, "inf", "-inf", "nan" or none under all others.
+    number, "inf", "-inf", "nan" or none under all others; a name is one that netCDF takes.
     """
+    if not name.isprintable() or name != name.strip() or not name or "/" in name:
+        return False
     if name in WORDS:
         return value is None or isinstance(value, str)
     if isinstance(value, str):

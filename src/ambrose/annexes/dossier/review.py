@@ -81,6 +81,7 @@ class Review:
             for item in getattr(result, items, ()):
                 if item.passed is False:
                     limit = f"{item.relation} {shown(item.limit, item.unit)}"
+                    limit = "-" if item.limit is None else limit
                     value = shown(item.value, item.unit)
                     rows.append((name, item.title, value, limit, item.note))
         return tuple(rows)
@@ -147,13 +148,26 @@ def review(
     from ambrose import api, registry
     from ambrose.chain.check import facts
     from ambrose.core.checks import AmbroseError
+    from ambrose.judge.checks import moving_proofs
+    from ambrose.judge.controller_file import made_for, read_controller
+    from ambrose.law.law import law_of
+    from ambrose.options import Verifying
     from ambrose.report.tables import unchecked
 
     described = api.machine_of(machine)
-    law = api.controller_of(controller, described)
+    other, law = "", controller
+    if isinstance(controller, str | Path):
+        read = read_controller(controller, described)
+        other, law = made_for(read.provenance, described), law_of(read)
+    law = api.controller_of(law, described)
     known = facts(described)
     result = api.verify(described, law, axial=axial, progress=progress)
-    left, refused = unchecked(result), list[str]()
+    still = (p.unproved(described, Verifying()) for p in moving_proofs() if not result.moving)
+    left, refused = [*unchecked(result), *filter(None, still)], list[str]()
+    if other:
+        left.append(f"The controller was made for {other}; it was judged on this one.")
+    if described.groups.keys() > {described.group}:
+        left.append("Lateral analysis and landing are of the radial axes.")
 
     def beside(name: str, *words: Any, **options: Any) -> Any:
         """A public function of another annex; None, and why, where it is not there or refuses."""
@@ -281,30 +295,39 @@ def review_command(
     file or a table of coefficients. Check, verification, lateral analysis, and landing where the
     file states limits go into the folder. Exit status 1: a requirement is not met.
     """
-    from ambrose.chain.new_machine import machine_file_of
-    from ambrose.judge.controller_file import write_controller
-    from ambrose.machine.ordinary_file import make_folder
-    from ambrose.report.page import brand_of, write
+    from ambrose.chain.new_machine import is_machine, machine_file_of
+    from ambrose.judge.controller_file import controller_text
+    from ambrose.machine.ordinary_file import make_folder, set_aside, write_files
+    from ambrose.report.page import brand_of, render
 
     brand = brand_of(Path(click.get_app_dir("ambrose")) / DEFAULTS, words)
-    make_folder(output)
-    claim(page=output / "review.html")
+    if not is_machine(rotor):
+        make_folder(output)
     machine, left = machine_file_of(rotor, output / "machine.toml", speed, bearings)
     if machine != rotor:
         say(f"note: {rotor}: its machine file is {machine}; left out: {left}", err=True)
     description = load(machine, part=False)
     law = load_controller(controller, description)
     along = None if axial is None else load_controller(axial, description.axial)
+    make_folder(output)
+    claim(page=output / "review.html")
     with progress_shown(as_json) as progress:
-        result = review(description, law, axial=along, progress=progress)
-        read = [Path(machine), controller, *([] if axial is None else [axial])]
+        result = review(description, controller, axial=along, progress=progress)
+        read = [*dict.fromkeys((Path(rotor), Path(machine))), controller]
+        read += [] if axial is None else [axial]
         sources = [(p.name, sha256(p.read_bytes()).hexdigest()) for p in read if p.is_file()]
         result = replace(result, sources=tuple(sources))
         progress("writing the pages")
-        write_controller(output / "controller.json", law, description)
-        for name, page in pages_of(result):
-            write(replace(page, brand=brand), output / f"{name}.html")
-        write(review_page(result, brand=brand), output / "review.html")
+        if along is not None:
+            law = replace(law, thrust=along)
+        pages = {"review": review_page(result), **dict(pages_of(result))}
+        files: dict[str, str | bytes] = {"controller.json": controller_text(law, description)}
+        files |= {
+            f"{name}.html": render(replace(page, brand=brand)) for name, page in pages.items()
+        }
+        for name in sorted({"lateral.html", "landing.html"} - {*files}):  # of another review
+            set_aside(output / name)
+        write_files(output, files)
     if as_json:
         say_json(result.to_dict())
     else:
