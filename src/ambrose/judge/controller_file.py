@@ -378,7 +378,7 @@ def read_controller(
 
 
 def _read(
-    path: str | Path, suffix: str, machine: Machine | None, stated: Mapping[str, Any]
+    path: str | os.PathLike[str], suffix: str, machine: Machine | None, stated: Mapping[str, Any]
 ) -> Synthesis:
     if suffix == ".mat":
         return _imported(mat_table(tree_of(Path(path))), machine, stated)

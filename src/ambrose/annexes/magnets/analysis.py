@@ -21,7 +21,7 @@ from ambrose.model.magnetics import (
     magnet_of,
 )
 from ambrose.report import theme
-from ambrose.report.page import Cell, Figure, Page, Section, Table, Verdict, numbers
+from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict, numbers
 
 _HALF_ANGLE = math.pi / 8  # of the eight poles that [bearing.geometry] is read as
 _PERMEABILITY = 3000.0  # of the iron that [bearing.iron] is read as; its path follows
@@ -247,7 +247,7 @@ def sheet_rows(sheet: MagnetSheet, share: float) -> tuple[tuple[str, str], ...]:
 
 def magnets_table(result: MagnetSheets) -> Table:
     """What decides of every magnet, a row for each."""
-    rows = []
+    rows: list[Row] = []
     for sheet in result.sheets:
         ends = [
             f"{100 * max(abs(end - 1) for item in sheet.maps for end in getattr(item, name)):.3g} %"

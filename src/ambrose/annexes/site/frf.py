@@ -269,9 +269,9 @@ def respond(
             )
         )
     done[0] = replace(done[0], findings=(*findings, *done[0].findings))
-    known = controller is not None
-    name = law_of(controller).named if known else ""
-    return Responses(machine, tuple(done), str(timing) if known else "", names, name)
+    if controller is None:
+        return Responses(machine, tuple(done), "", names)
+    return Responses(machine, tuple(done), str(timing), names, law_of(controller).named)
 
 
 class _Model:
