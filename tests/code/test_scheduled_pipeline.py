@@ -265,6 +265,20 @@ def test_what_a_schedule_cannot_be(file, tmp_path, options, message):
     assert not (tmp_path / "code").exists()
 
 
+@pytest.mark.parametrize("matrix", ["A", "B", "C"])
+def test_numbers_that_overflow_are_refused_in_a_sentence(file, tmp_path, matrix):
+    """Of a damaged file, at one point of the schedule."""
+    document = json.loads(file.read_text())
+    rows = document["scheduling"]["points"][0][matrix]
+    document["scheduling"]["points"][0][matrix] = [[1.7e308] * len(row) for row in rows]
+    damaged = tmp_path / "lpv.json"
+    damaged.write_text(json.dumps(document))
+    limits = ["--error-limit", 5e-4, "--current-limit", 4.0, "--force"]
+    done = call(damaged, "--to", "c", "-o", tmp_path / "code", *limits)
+    assert done.exit_code == 2 and "cannot be computed to any accuracy" in done.stderr
+    assert not (tmp_path / "code").exists()
+
+
 @compiler
 def test_the_guides_example_compiles(tmp_path):
     write_code(tmp_path, block_of(small_schedule(), "turbo"))

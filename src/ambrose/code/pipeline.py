@@ -38,7 +38,13 @@ from ambrose.code.sampled import (
 )
 from ambrose.code.synchronous import AllAxes, AnyLaw, Base, Law, RunUnit, in_order
 from ambrose.code.targets import TARGETS, C, Files, Fmu, Target
-from ambrose.core.checks import InvalidInput, UnstableSystem, invalid, same_clock
+from ambrose.core.checks import (
+    InvalidInput,
+    UnstableSystem,
+    invalid,
+    named_failure,
+    same_clock,
+)
 from ambrose.core.presentation import Presented, with_unit
 from ambrose.core.statespace import StateSpace, rename
 from ambrose.judge.checks import Check, Checks
@@ -321,6 +327,7 @@ class Delivery(Presented):
         }
 
 
+@named_failure("the exported controller")
 def export(
     controller: LawLike,
     directory: str | Path,
