@@ -676,7 +676,8 @@ def _point(machine: Machine, point: OperatingPoint | str | None) -> OperatingPoi
     if chosen.speed <= 0:
         raise InvalidInput(
             f"the operating point {chosen.label or 'given'} is at standstill, but a lateral "
-            "analysis needs a turning rotor; give the point at maximum continuous speed"
+            "analysis needs a turning rotor; add an [[operating_point]] at maximum continuous "
+            "speed, or name it"
         )
     return chosen
 
