@@ -98,10 +98,14 @@ def test_all_five_axes_are_judged_as_each_is_alone(folder):
     assert deciding_verdict(held).startswith("FAILED: the thrust axis has no controller (radial")
     assert replace(held, not_judged=()).passed
     assert "Not checked: the thrust axis. Give its controller" in unchecked(unknown)[0]
-    assert (
-        f"thrust axis ({len(thrust.points)} states), {len(alone.points)} oper"
-        in deciding_verdict(both)
-    )
+    states, boxes = len(thrust.points), len(thrust.boxes)
+    own = f", tolerances at {boxes} of them" * bool(boxes)
+    words = f"thrust axis ({states} states{own}), {len(alone.points)} oper"
+    assert words in deciding_verdict(both)
+    # of two groups each has its own tolerances
+    box = replace(both.points[0], label="over all tolerances around thrust: rated")
+    words = deciding_verdict(replace(both, boxes=(box,), ranges=()))
+    assert "tolerances at 1 of them), " in words and words.count("tolerances") == 1
     lost = replace(axial, controller=replace(axial.controller, C=-axial.controller.C))
     assert not amb.verify(whole, radial, axial=lost, **options).passed
     with pytest.raises(InvalidInput, match="no thrust bearing; leave it out"):

@@ -465,14 +465,17 @@ def deciding_verdict(verification: Verification) -> str:
     ]
     failed = [check for check in judged if not check.passed]
     thrust = sum(checks.label.startswith(THRUST) for checks in verification.points)
-    points, boxes = len(verification.points) - thrust, len(verification.boxes)
+    points = len(verification.points) - thrust
+    along = sum(around(box).startswith(f"around {THRUST}") for box in verification.boxes)
+    boxes = len(verification.boxes) - along
     alone = {"radial": "radial axes, ", "thrust": "thrust axis, "}
     scope = alone[verification.axes[0]] if len(verification.axes) == 1 else ""
-    scope += f"radial axes and thrust axis ({thrust} states), " if thrust else ""
+    if thrust:
+        own = f", tolerances at {along} of them" if along else ""
+        scope += f"radial axes and thrust axis ({thrust} states{own}), "
     scope += f"{points} operating point{'s' * (points != 1)}"
     scope += f", {verification.between}" if verification.between else ""
-    them = " of these" if thrust else " of them"
-    scope += f", tolerances at {boxes}{them}" if boxes else ""
+    scope += f", tolerances at {boxes} of them" if boxes else ""
     ranges = len(verification.ranges)
     scope += f", {ranges} range{'s' * (ranges > 1)}" if ranges else ""
     loop = "continuous loop"
