@@ -113,7 +113,9 @@ def rows():
     ],
 )
 def test_how_one_row_late_looks(late, delay, samples, words, error, monkeypatch):
-    monkeypatch.setattr(suspects, "_FURTHER", 0)  # the recorded rotor is rigid, which no rotor is
+    monkeypatch.setattr(
+        suspects, "FURTHER_MODES", 0
+    )  # the recorded rotor is rigid, which no rotor is
     machine, plant, controller, _ = rig()
     values = np.vstack([np.roll(rows()[name], int(name[0] == late)) for name in (*Y, *E, *U)])[
         :, 3:-3

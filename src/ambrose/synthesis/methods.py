@@ -10,7 +10,6 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Self
 
-from ambrose.core.checks import InvalidInput
 from ambrose.options import AsItRuns, Rules, count, option, percent, positive
 from ambrose.registry import registered, resolve
 
@@ -593,6 +592,7 @@ def as_measured(
     """A synthesis judged on the plant that was measured at an operating point as well: what fails
     there, or is not told, counts as missed, with a note each; unstable there is unstable.
     """
+    from ambrose.core.checks import InvalidInput
     from ambrose.judge.measured import MEASURED, check_measured
     from ambrose.judge.result import Status
 

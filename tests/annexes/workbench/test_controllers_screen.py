@@ -13,6 +13,7 @@ from ambrose.annexes.workbench.blocks import Refusal, lines_of, with_numbers
 from ambrose.annexes.workbench.project import Project, begin
 from ambrose.annexes.workbench.screens import answer
 from ambrose.core.checks import InvalidInput
+from ambrose.judge.campbell import ONCE
 from ambrose.judge.controller_file import read_controller
 from ambrose.machine.file.toml import bundled_machines, load_machine
 from ambrose.machine.part import Channel, Notch, PidSettings, Section
@@ -102,7 +103,7 @@ def test_a_machine_that_turns_has_its_campbell_diagram(tmp_path):
     begin(turning, "flywheel")
     buttons = [b["action"] for b in ask(turning)[1]["sliders"]["buttons"]]
     assert "campbell" in buttons
-    assert "1× speed" in ask(turning, "campbell")[1]["campbell"]["svg"]
+    assert ONCE in ask(turning, "campbell")[1]["campbell"]["svg"]
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, "x", True, None, 1e300])

@@ -77,7 +77,7 @@ def turn(angle):
 
 @pytest.fixture
 def rigid(monkeypatch):
-    monkeypatch.setattr(tried, "_FURTHER", 0)
+    monkeypatch.setattr(tried, "FURTHER_MODES", 0)
 
 
 @pytest.mark.usefixtures("rigid")

@@ -27,7 +27,7 @@ def rigid(monkeypatch):
     """The recorded rotor is rigid, which no rotor is: bending modes beyond the model are not looked
     for.
     """
-    monkeypatch.setattr(tried, "_FURTHER", 0)
+    monkeypatch.setattr(tried, "FURTHER_MODES", 0)
 
 
 @cache

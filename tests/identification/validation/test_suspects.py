@@ -31,7 +31,7 @@ def rigid(monkeypatch):
     """The recorded rotor is rigid, which no rotor is: bending modes beyond the model are not looked
     for.
     """
-    monkeypatch.setattr(tried, "_FURTHER", 0)
+    monkeypatch.setattr(tried, "FURTHER_MODES", 0)
 
 
 KNOWN = ("bearing.A.negative_stiffness.zeta", "bearing.A.force_per_current.zeta", "seal.center.k")
