@@ -155,7 +155,8 @@ def identify_responses(
     """The parameters at the paths ``unknown`` from responses at one operating point, between a
     check of what was measured and one of the residuals; ``machine`` is not yet updated.
 
-    Weights: the variances that are stated, else the residual's own size, path by path; intervals
+    bending_modes: per plane (None: as many as the responses tell, from the default on). Weights:
+    the variances that are stated, else the residual's own size, path by path; intervals
     are widened by what the residuals exceed the noise, and by the likeness of their neighbours.
     Raises InvalidInput for responses of another machine, of two operating points or beyond half the
     sample rate, for delays among the unknown, and for every mistake that is told.
@@ -223,9 +224,8 @@ def identify_responses(
         if problem.unstated:
             problem = problem.weighed(minimum.x)
             minimum = fitted(problem, minimum.x)
-    loop = problem.loop
     progress("checking the result")
-    if not loop.stable(minimum.x):
+    if not problem.loop.stable(minimum.x):
         raise InvalidInput(
             "the loop that fits these responses best is unstable, but it ran; check the "
             "controller's file, its rate and its delay"

@@ -64,7 +64,7 @@ class FitOptions:
 
 
 def modelled_modes(count: int) -> list[str]:
-    """A note where more bending modes per plane are modelled than anybody asked for."""
+    """A note where more bending modes per plane are modelled than by default."""
     return [f"{count} bending modes per plane are modelled"] * (count > FitOptions().bending_modes)
 
 
