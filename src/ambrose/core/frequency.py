@@ -264,7 +264,7 @@ def _by_substitution(form: SchurForm, s: np.ndarray) -> np.ndarray:
                 part = s[start : start + step]
                 X = np.repeat(form.left[:, None, :].astype(complex), len(part), axis=1)
                 solve_shifted(form.triangle, X, part)
-                values[start : start + step] += _times(form.right, X).swapaxes(0, 1)
+                values[start : start + step] += times(form.right, X).swapaxes(0, 1)
     return values
 
 
@@ -362,7 +362,7 @@ def state_response_at(A: np.ndarray, B: np.ndarray, s: complex) -> tuple[np.ndar
     return t[:, None] * X, rcond
 
 
-def _times(T: np.ndarray, X: np.ndarray) -> np.ndarray:
+def times(T: np.ndarray, X: np.ndarray) -> np.ndarray:
     """T (k, n) times every column of the contiguous complex X (n, w, m); a real T is not made
     complex.
     """
@@ -380,7 +380,7 @@ def solve_shifted(T: np.ndarray, X: np.ndarray, s: np.ndarray) -> None:
         # X2 <- (s - T22)^-1 X2, then X1 <- (s - T11)^-1 (X1 + T12 X2)
         h = n // 2 + int(T[n // 2, n // 2 - 1] != 0)  # never through a 2 x 2 block
         solve_shifted(T[h:, h:], X[h:], s)
-        X[:h] += _times(T[:h, h:], X[h:])
+        X[:h] += times(T[:h, h:], X[h:])
         solve_shifted(T[:h, :h], X[:h], s)
         return
 
@@ -389,7 +389,7 @@ def solve_shifted(T: np.ndarray, X: np.ndarray, s: np.ndarray) -> None:
     while i > 0:
         k = i - 2 if i > 1 and T[i - 1, i - 2] != 0 else i - 1
         if i < n:
-            X[k:i] += _times(T[k:i, i:], X[i:])
+            X[k:i] += times(T[k:i, i:], X[i:])
         if k == i - 1:
             X[k] /= (s - T[k, k])[:, None]
         else:

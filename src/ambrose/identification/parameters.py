@@ -186,11 +186,15 @@ def nominal_values(plant: Plant, paths: Sequence[str]) -> np.ndarray:
 
 
 def reduced_plant(
-    machine: Machine, point: OperatingPoint, bending_modes: int, paths: Sequence[str] = ()
+    machine: Machine,
+    point: OperatingPoint,
+    bending_modes: int,
+    paths: Sequence[str] = (),
+    residual: bool = False,
 ) -> Plant:
     """The plant at an operating point with the rotor's free modes, ``bending_modes`` per plane or
-    as many as the mesh has, and ports for the modes among ``paths``. Raises InvalidInput for a mode
-    that is not kept.
+    as many as the mesh has, and ports for the modes among ``paths``; residual: with the compliance
+    of all others. Raises InvalidInput for a mode that is not kept.
     """
     named = {item.parameter for item in machine.tolerances}
     wanted = [path for path in paths if path.startswith("rotor.")]
@@ -204,7 +208,8 @@ def reduced_plant(
     plant = assemble(
         replace(machine, tolerances=(*machine.tolerances, *ports)) if ports else machine, point
     )
-    return free_mode_reduction(plant, min(bending_modes, bending_modes_of(plant.rotor_model)))
+    kept = min(bending_modes, bending_modes_of(plant.rotor_model))
+    return free_mode_reduction(plant, kept, residual)
 
 
 def mode_number(path: str) -> int:

@@ -17,11 +17,12 @@ from pathlib import Path as File
 from typing import Any
 
 import numpy as np
+from scipy.linalg import schur
 from scipy.optimize import minimize as optimise
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.core.frequency import frequency_response
-from ambrose.core.statespace import poles
+from ambrose.core.frequency import frequency_response, solve_shifted, times
+from ambrose.core.statespace import balance_matrix, poles
 from ambrose.identification.data_quality.signals import point_findings
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding, refuse
 from ambrose.identification.frf_spectral import Frf
@@ -122,15 +123,26 @@ class Loop:
         """Y (w, a, a) and its derivatives (q, w, a, a)."""
         loop, directions = self.model.loop(theta)
         z = np.exp(1j * omega * float(loop.dt or 1.0))
-        eye = np.eye(loop.n_states)
+
+        # A = V T V^-1, T (quasi-)triangular, and so is its transpose from the last row up
+        balanced, scales = balance_matrix(loop.A)
+        T, Q = schur(balanced)
+        V, inverse = scales[:, None] * Q, Q.T / scales
+        C = loop.C @ V
+        X, shown = (
+            np.repeat(right[:, None, :].astype(complex), len(z), axis=1)
+            for right in (inverse @ loop.B, C.T[::-1])
+        )
+        solve_shifted(T, X, z)
+        solve_shifted(np.ascontiguousarray(T.T[::-1, ::-1]), shown, z)
+        shown = np.ascontiguousarray(shown[::-1].transpose(1, 2, 0))
 
         # Y = C (zI - A)^-1 B, dY = C (zI - A)^-1 (dA (zI - A)^-1 B + dB)
-        inner = z[:, None, None] * eye - loop.A
-        X = np.linalg.solve(inner, np.broadcast_to(loop.B, (len(z), *loop.B.shape)))
-        C = np.broadcast_to(loop.C.T, (len(z), *loop.C.T.shape))
-        shown = np.linalg.solve(inner.swapaxes(1, 2), C).swapaxes(1, 2)
-        dY = np.array([shown @ (one.A @ X + one.B) for one in directions])
-        return loop.C @ X, dY
+        pushed = (
+            times(inverse @ one.A @ V, X) + (inverse @ one.B)[:, None, :] for one in directions
+        )
+        dY = np.array([shown @ one.transpose(1, 0, 2) for one in pushed])
+        return times(C, X).swapaxes(0, 1), dY
 
     def controller(self, omega: np.ndarray) -> np.ndarray:
         """K (w, a, a)."""
@@ -187,7 +199,7 @@ def identify_responses(
         )
     delay = timing.delay_samples if computing_delay is None else computing_delay
     modes = FitOptions().bending_modes if bending_modes is None else bending_modes
-    plant = reduced_plant(machine, point, modes, paths)
+    plant = reduced_plant(machine, point, modes, paths, residual=True)
     values = nominal_values(plant, paths)
 
     def modelled(plant: Plant) -> Loop:
@@ -214,7 +226,8 @@ def identify_responses(
     most = bending_modes_of_mesh(machine) if bending_modes is None else modes
     while modes < most:  # a few more, as long as they explain a part of what is left
         count = min(modes + FURTHER_MODES, most)
-        further = replace(problem, loop=modelled(reduced_plant(machine, point, count, paths)))
+        again = reduced_plant(machine, point, count, paths, residual=True)
+        further = replace(problem, loop=modelled(again))
         found = fitted(further, minimum.x)
         if found.cost > minimum.cost - _TOLD * further.excess(found):
             break

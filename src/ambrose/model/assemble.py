@@ -122,13 +122,15 @@ def modes_judged(plant: Plant) -> int:
     return min(int((frequencies <= highest_verified(plant.machine)).sum()) + 1, available)
 
 
-def modes_of(machine: Machine, rotor: Rotor, bending_modes: int | None) -> FreeModes:
-    """The lowest ``bending_modes`` per plane; None: the modes of the full model, true ones and then
-    residual ones.
+def modes_of(
+    machine: Machine, rotor: Rotor, bending_modes: int | None, residual: bool = False
+) -> FreeModes:
+    """The lowest ``bending_modes`` per plane, with the residual ones of all others where ``residual``
+    is set; None: the modes of the full model, true ones and then residual ones.
     """
-    if bending_modes is not None:
+    if bending_modes is not None and not residual:
         return free_modes(rotor, bending_modes)
-    return _full_modes(rotor, port_positions(machine))
+    return _with_residual(rotor, bending_modes, port_positions(machine))
 
 
 def port_positions(machine: Machine) -> tuple[float, ...]:
@@ -137,9 +139,9 @@ def port_positions(machine: Machine) -> tuple[float, ...]:
 
 
 @lru_cache(maxsize=16)
-def _full_modes(rotor: Rotor, forces: tuple[float, ...]) -> FreeModes:
+def _with_residual(rotor: Rotor, count: int | None, forces: tuple[float, ...]) -> FreeModes:
     """With forces at axial positions [m]. Computed once; the arrays are read-only."""
-    kept = bending_modes_of(rotor)
+    kept = bending_modes_of(rotor) if count is None else count
     true = free_modes(rotor, kept)
     if kept == 2 * rotor.n_nodes - 2:
         return true
@@ -159,7 +161,8 @@ def _full_modes(rotor: Rotor, forces: tuple[float, ...]) -> FreeModes:
     )
     for array in arrays:
         array.flags.writeable = False
-    return FreeModes(*arrays)
+    # of few that are kept, the others' compliance rings within a sampled loop's reach
+    return FreeModes(*arrays, compliance=0 if count is None else 2 * len(frequencies))
 
 
 @lru_cache(maxsize=64)
@@ -229,43 +232,53 @@ def assemble(
 
 
 def attached_statespace(
-    machine: Machine, point: OperatingPoint, rotor: Rotor, bending_modes: int | None = None
+    machine: Machine,
+    point: OperatingPoint,
+    rotor: Rotor,
+    bending_modes: int | None = None,
+    residual: bool = False,
 ) -> StateSpace:
     """``attached_rotor`` as a state space, and the states of seals and effects after its own.
 
     States: modal displacements q of the free rotor and q'/s, s (n,) [rad/s] being ``state_scales``.
     Neither speed nor seal nor bearing moves them.
     """
-    attached = attached_rotor(machine, point, rotor, bending_modes)
-    scales = state_scales(machine, rotor, bending_modes)
+    attached = attached_rotor(machine, point, rotor, bending_modes, residual)
+    scales = state_scales(machine, rotor, bending_modes, residual)
     return with_states(machine, point, to_common_statespace(attached, point.speed, scales))
 
 
-def state_scales(machine: Machine, rotor: Rotor, bending_modes: int | None = None) -> np.ndarray:
+def state_scales(
+    machine: Machine, rotor: Rotor, bending_modes: int | None = None, residual: bool = False
+) -> np.ndarray:
     """The scale s (n,) [rad/s] of each velocity state: the free mode's or support's frequency, 300
     rad/s at least.
     """
-    frequencies = modes_of(machine, rotor, bending_modes).frequencies
+    frequencies = modes_of(machine, rotor, bending_modes, residual).frequencies
     return np.maximum(
         np.concatenate([frequencies, np.sqrt(foundation(machine).stiffness)]), _RIGID_SCALE
     )
 
 
 def attached_rotor(
-    machine: Machine, point: OperatingPoint, rotor: Rotor, bending_modes: int | None = None
+    machine: Machine,
+    point: OperatingPoint,
+    rotor: Rotor,
+    bending_modes: int | None = None,
+    residual: bool = False,
 ) -> SecondOrder:
     """The rotor plus bearing stiffness, seals, couplings and modal damping, in free-rotor modes,
     with all ports.
 
     Coordinates: four rigid-body modes, then ``bending_modes`` per plane by ascending frequency
-    (None: the full model's, ``model.assemble``), then those of the supports
-    (``model.effects.stations``). Inputs f_<port> [N], which act between rotor and stator as
+    (None: the full model's, ``model.assemble``), with ``residual`` what all others yield, then
+    those of the supports (``model.effects.stations``). Inputs f_<port> [N], which act between rotor and stator as
     q_<port> is measured, and o_<port> [N] on the rotor alone where the stator can move; outputs
     q_<port> and s_<channel> [m] (``sensor_ports``); velocity outputs qdot_<port> [m/s]. A free
     bending mode that a tolerance names has ports too, bending_<k>_x and _y: the force on its
     mass-orthonormal coordinate, and the coordinate.
     """
-    modes = modes_of(machine, rotor, bending_modes)
+    modes = modes_of(machine, rotor, bending_modes, residual)
     places, sensed = ports(machine), sensor_ports(machine)
 
     # Rows over (modes, supports): N of the ports, S of the sensors; ``alone`` reads the rotor

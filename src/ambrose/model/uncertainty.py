@@ -725,16 +725,17 @@ def with_static_correction(slow: StateSpace, full: SecondOrder) -> StateSpace:
     return StateSpace(slow.A, slow.B, slow.C, D, slow.inputs, slow.outputs)
 
 
-def free_mode_reduction(plant: Plant, bending_modes: int = 0) -> Plant:
+def free_mode_reduction(plant: Plant, bending_modes: int = 0, residual: bool = False) -> Plant:
     """Galerkin projection on the free rotor's modes: states that depend on neither speed nor
     bearing nor seal (for scheduling).
 
-    They are those of ``assemble``, see ``assemble.attached_statespace``, of the modes kept.
+    They are those of ``assemble``, see ``assemble.attached_statespace``, of the modes kept;
+    residual: and of what the others yield at the ports, so that the compliance is that of all.
     """
     machine, point = plant.machine, plant.point
     if isinstance(machine, AxialMachine):
         return _whole(plant).plant
-    closed = attached_statespace(machine, point, plant.rotor_model, bending_modes)
+    closed = attached_statespace(machine, point, plant.rotor_model, bending_modes, residual)
     return with_offsets_of(wire(machine, point, closed, bending_modes), plant)
 
 

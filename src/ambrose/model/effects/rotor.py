@@ -106,15 +106,17 @@ class FreeModes:
     shapes (4N, 4 + 2 n): translation along x and y, tilting of the x and y planes about the centre
     of mass (exact; the right end moves in the positive direction), then the n bending shapes by
     ascending frequency, each in x and in y (the left end moves in the positive direction).
-    frequencies (4 + 2 n,) [rad/s]: zeros for the rigid modes.
+    frequencies (4 + 2 n,) [rad/s]: zeros for the rigid modes. compliance: how many of the last
+    stand for the compliance of many others, and do not ring.
     """
 
     shapes: np.ndarray
     frequencies: np.ndarray
+    compliance: int = 0
 
     def damping_ratios(self, machine: MachineDescription) -> np.ndarray:
         """Of every mode (4 + 2 n,): what was measured, else Rayleigh's and hysteretic damping, else
-        modal_damping. Rigid modes, of frequency 0, have none.
+        modal_damping. Rigid modes, of frequency 0, have none; compliances have 1/sqrt(2).
         """
         # C = alpha M + beta K: 2 zeta w = alpha + beta w^2; loss factor: K (1 + j eta) at s = j w
         alpha, beta = machine.rayleigh_alpha, machine.rayleigh_beta
@@ -126,6 +128,7 @@ class FreeModes:
         for mode in machine.bending_modes:
             if mode.damping is not None:
                 ratios[2 + 2 * mode.number : 4 + 2 * mode.number] = mode.damping
+        ratios[len(ratios) - self.compliance :] = np.sqrt(0.5)
         return ratios
 
 
