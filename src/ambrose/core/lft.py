@@ -59,6 +59,7 @@ _PER_DECADE = 9  # points of a grid
 # a design's grid reaches this factor beyond the slowest and fastest pole of the plant
 _MARGIN = 10.0
 _SAME = 1e-12  # of a column, to which it must be made of others
+_FEW = 3  # channels up to which elimination side by side is faster than LAPACK point by point
 _SMALL = 1e-5  # a pivot, over the other entries of its column, that spoils digits
 
 
@@ -334,9 +335,15 @@ def upper_lft_responses(M: np.ndarray, gain: np.ndarray) -> np.ndarray:
     """M22 + M21 gain (I - M11 gain)^-1 M12, (d, p, m, k), of responses M (z + p, w + m, k) at k
     frequencies and gains (d, w, z); not finite at a pole.
 
-    For few channels w: what is solved is of their number. All points go side by side.
+    What is solved is of the number of channels w. Of few, all points go side by side.
     """
     d, r, z = gain.shape
+    if r > _FEW:
+        F = np.ascontiguousarray(M.transpose(2, 0, 1))
+        W = (gain[:, None] @ F[:, :z]).reshape(d * len(F), r, F.shape[2])
+        v = memberwise(np.linalg.solve, np.eye(r) - W[:, :, :r], W[:, :, r:])
+        T = F[:, z:, r:] + F[:, z:, :r] @ v.reshape(d, len(F), *v.shape[1:])
+        return np.asarray(np.moveaxis(T, 1, 3))
     W = (gain.reshape(d * r, z) @ M[:z].reshape(z, -1)).reshape(d, r, *M.shape[1:])
     X, Y = np.eye(r)[:, :, None] - W[:, :, :r], W[:, :, r:]
 

@@ -125,8 +125,8 @@ def modes_judged(plant: Plant) -> int:
 def modes_of(
     machine: Machine, rotor: Rotor, bending_modes: int | None, residual: bool = False
 ) -> FreeModes:
-    """The lowest ``bending_modes`` per plane, with the residual ones of all others where ``residual``
-    is set; None: the modes of the full model, true ones and then residual ones.
+    """The lowest ``bending_modes`` per plane, with the residual ones of all others if ``residual``;
+    None: the modes of the full model, true ones and then residual ones.
     """
     if bending_modes is not None and not residual:
         return free_modes(rotor, bending_modes)
@@ -271,11 +271,11 @@ def attached_rotor(
     with all ports.
 
     Coordinates: four rigid-body modes, then ``bending_modes`` per plane by ascending frequency
-    (None: the full model's, ``model.assemble``), with ``residual`` what all others yield, then
-    those of the supports (``model.effects.stations``). Inputs f_<port> [N], which act between rotor and stator as
-    q_<port> is measured, and o_<port> [N] on the rotor alone where the stator can move; outputs
-    q_<port> and s_<channel> [m] (``sensor_ports``); velocity outputs qdot_<port> [m/s]. A free
-    bending mode that a tolerance names has ports too, bending_<k>_x and _y: the force on its
+    (None: the full model's, ``model.assemble``; residual: and what all others yield), then those of
+    the supports (``model.effects.stations``). Inputs f_<port> [N], which act between rotor and
+    stator as q_<port> is measured, and o_<port> [N] on the rotor alone where the stator can move;
+    outputs q_<port> and s_<channel> [m] (``sensor_ports``); velocity outputs qdot_<port> [m/s]. A
+    free bending mode that a tolerance names has ports too, bending_<k>_x and _y: the force on its
     mass-orthonormal coordinate, and the coordinate.
     """
     modes = modes_of(machine, rotor, bending_modes, residual)

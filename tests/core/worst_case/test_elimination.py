@@ -76,7 +76,7 @@ def test_corners_do_share(monkeypatch):
 
 
 @pytest.mark.parametrize("distance", [0.0, 1e-16, 1e-13, 1e-9, 1e-6, 1e-4])
-@pytest.mark.parametrize("repeats", [(1, 1, 1, 1, 1), (3, 1, 1, 1, 1)])
+@pytest.mark.parametrize("repeats", [(1, 1, 1), (1, 1, 1, 1, 1), (3, 1, 1, 1, 1)])
 def test_pivots_next_to_zero_keep_their_digits(repeats, distance):
     """I - M11 delta is regular, but its leading entry, or block, is not: elimination in order would
     lose digits.
@@ -91,6 +91,23 @@ def test_pivots_next_to_zero_keep_their_digits(repeats, distance):
     assert np.abs(h).min() > 1e-3
     np.testing.assert_allclose(determinants_at(M[:, :n, :n], owner, corners), h, rtol=1e-9)
     np.testing.assert_allclose(transfers_at(M, owner, corners), T, rtol=1e-8, atol=1e-9)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 6])
+def test_a_point_on_a_pole_leaves_the_others_theirs(n):
+    M, owner = problem(2, (1,) * n)
+    owner = np.arange(n)
+    M[3, :n, :n] = np.diag(np.full(n, 0.25))
+    M[3, 0, 0] = 1.0
+    delta = np.vstack([np.full(n, 0.5), np.ones(n), np.full(n, -0.5)])
+    with np.errstate(all="ignore"):
+        found = transfers_at(M, owner, delta)
+    assert not np.isfinite(found[1, 3]).any()
+    rest = np.ones((3, len(M)), bool)
+    rest[1, 3] = False
+    for i, j in np.argwhere(rest):
+        expected = one_by_one(M[j : j + 1], owner, delta[i : i + 1])[1][0, 0]
+        np.testing.assert_allclose(found[i, j], expected, rtol=1e-9)
 
 
 def test_a_singular_point_has_determinant_zero():
