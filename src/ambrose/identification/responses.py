@@ -224,19 +224,21 @@ def identify_responses(
         problem = problem.weighed(minimum.x)
         minimum = fitted(problem, minimum.x)
     most = bending_modes_of_mesh(machine) if bending_modes is None else modes
-    while modes < most:  # a few more, as long as they explain a part of what is left
-        count = min(modes + FURTHER_MODES, most)
+    count = min(modes + FURTHER_MODES, most)
+    while modes < count:  # more, as long as they explain a part of what is left
         again = reduced_plant(machine, point, count, paths, residual=True)
         further = replace(problem, loop=modelled(again))
         found = fitted(further, minimum.x)
-        if found.cost > minimum.cost - _TOLD * further.excess(found):
-            break
-        progress(f"identifying again with {count} bending modes, which the responses tell")
-        modes, problem = count, further
-        minimum = found
-        if problem.unstated:
-            problem = problem.weighed(minimum.x)
-            minimum = fitted(problem, minimum.x)
+        if found.cost <= minimum.cost - _TOLD * further.excess(found):
+            progress(f"identifying again with {count} bending modes, which the responses tell")
+            modes, problem = count, further
+            minimum = found
+            if problem.unstated:
+                problem = problem.weighed(minimum.x)
+                minimum = fitted(problem, minimum.x)
+            count = min(modes + FURTHER_MODES, most)
+        else:  # one high mode may stand, at its alias, among the lines: all at once, or no more
+            count = most if count < most else modes
     progress("checking the result")
     if not problem.loop.stable(minimum.x):
         raise InvalidInput(
