@@ -339,7 +339,7 @@ def test_the_page_draws_every_axis_beside_its_model():
     response = measured("S", diagonal=True)
     done = identify(response)
     assert [one.quantity for one in done.responses] == ["S"] * 4
-    drawn = responses_figure(machine(), done.responses)
+    drawn = responses_figure(done.responses)
     assert drawn.title == "Measured responses: sensitivity"
     curves = [t for t in drawn.picture.data if t.name == "identified"]
     for one, path in zip(done.responses, response.paths, strict=True):
@@ -407,7 +407,7 @@ def test_no_mode_is_named_where_all_are_modelled():
 FLEET = {
     "seal-rig": (1e4, 16, 1.0),
     "outboard-sensor-rotor": (1e4, 28, 1.0),
-    "flywheel": (1e4, 10, 1.0),
+    "flywheel": (1e4, 24, 1.0),
     "turbomolecular-pump": (2e4, 24, 1.0),
     "turboexpander": (4e4, 24, 0.15),
 }
@@ -423,9 +423,12 @@ def magnets_off(name, turning, way, seed):
     known = amb.load_machine(name)
     law = amb.design(known, "pid").controller
     speed = turning * part * max(point.speed for point in known.operation.points)
-    drawn = tuple(np.random.default_rng(seed).uniform(-0.1, 0.1, 2))
-    true = Truth.of(file, rate, drawn, speed=speed, modes=modes)
-    ran = matrices(law, rate)
+    rng, ran = np.random.default_rng(seed), matrices(law, rate)
+    for _ in range(20):  # of one that its controller holds
+        drawn = tuple(rng.uniform(-0.1, 0.1, 2))
+        true = Truth.of(file, rate, drawn, speed=speed, modes=modes)
+        if true.radius(ran) < 1:
+            break
     assert true.radius(ran) < 1
     kind, diagonal = WAYS[way]
     found = true.sweep(known.name, ran, true.hertz(), kind, seed=seed, diagonal=diagonal)

@@ -263,6 +263,25 @@ def identify_responses(
     )
 
 
+def response_fit(
+    omega: np.ndarray, path: Path, after: np.ndarray, before: np.ndarray, dt: float
+) -> ResponseFit:
+    """A measured path with its noise beside a model's values (w,), those found and those before."""
+    one, unknown = (len(omega), 1, 1), np.full((len(omega), 1), np.nan)
+    measured = Frf(
+        path.values.reshape(one),
+        omega,
+        (path.injected,),
+        (path.read,),
+        noise_beside(omega, path, after).reshape(one),
+        unknown,
+        unknown,
+        SCATTER_DOF if path.variance is None else _KNOWN,
+        dt,
+    )
+    return ResponseFit(path.quantity, measured, after, before)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
     """Responses beside the loop; sizes: by which the noise of every path is multiplied where none
@@ -504,21 +523,9 @@ class Problem:
     def beside(self, theta: np.ndarray, begin: np.ndarray) -> Iterator[ResponseFit]:
         """Every path with its model's values at theta and at begin."""
         models = zip(self.models(theta), self.models(begin), strict=True)
+        dt = float(self.loop.model.controller.dt or 0.0)
         for (omega, path), (after, before) in zip(self.items, models, strict=True):
-            one, found = (len(omega), 1, 1), after[1]
-            unknown = np.full((len(omega), 1), np.nan)
-            measured = Frf(
-                path.values.reshape(one),
-                omega,
-                (path.injected,),
-                (path.read,),
-                noise_beside(omega, path, found).reshape(one),
-                unknown,
-                unknown,
-                SCATTER_DOF if path.variance is None else _KNOWN,
-                float(self.loop.model.controller.dt or 0.0),
-            )
-            yield ResponseFit(path.quantity, measured, found, before[1])
+            yield response_fit(omega, path, after[1], before[1], dt)
 
     def notes(self, theta: np.ndarray, untold: Sequence[str] = ()) -> tuple[str, ...]:
         """What was fitted and how far the model holds, in words."""

@@ -611,6 +611,23 @@ def measured_plant(
     return lines.omega, np.linalg.inv(np.eye(Y.shape[1]) - Y @ K_run) @ Y
 
 
+def modelled(
+    plant: Plant, controller: LawLike, response: Response, timing: Timing | None
+) -> list[np.ndarray]:
+    """Every path of a response of the loop that runs, (w,), as the full plant and the controller
+    make it.
+    """
+    law, axes = running_law(controller, plant, timing), plant.axes
+    omega, every = response.omega, whole(response, axes)
+    K = controller_at(law, len(axes))(omega)
+    G = loop_evaluator(plant, law)(omega).G
+    if law.dt is not None:
+        G = G * hold(omega, law.dt)[:, None, None]
+    Y = np.linalg.inv(np.eye(len(axes)) + G @ K) @ G
+    none = np.zeros((0, *Y.shape))
+    return [predicted(path, axes, Y, none, K, every)[0] for path in response.paths]
+
+
 def _parts(
     response: Response,
     axes: Sequence[str],

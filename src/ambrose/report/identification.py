@@ -379,9 +379,13 @@ def frf_figure(machine: Machine, checked: LoopIdentification) -> tuple[Any, str]
     return figure, words
 
 
-def responses_figure(machine: Machine, fits: Sequence[ResponseFit]) -> Figure:
-    """The response of every axis on itself, measured and modelled before and after: of the quantity
-    that most axes have, four axes at most.
+def responses_figure(
+    fits: Sequence[ResponseFit],
+    labels: tuple[str, ...] = ("identified", "start"),
+    caption: str = "",
+) -> Figure:
+    """The response of every axis on itself, measured and modelled after and before, by their labels
+    (one: after alone): of the quantity that most axes have, four axes at most.
     """
     own = [one for one in fits if one.measured.inputs == one.measured.outputs]
     ((quantity, _),) = Counter(one.quantity for one in own or fits).most_common(1)
@@ -399,12 +403,12 @@ def responses_figure(machine: Machine, fits: Sequence[ResponseFit]) -> Figure:
                 one.measured.inputs,
                 one.measured.outputs,
             )
-            for label, values in (("identified", one.identified), ("start", one.start))
+            for label, values in zip(labels, (one.identified, one.start), strict=False)
         }
     words, *units = QUANTITIES[quantity]
     figure = response_figure(measured, models, unit="/".join(filter(None, units)))
     figure.update_annotations(font={"size": 13})
-    return Figure(f"Measured responses: {words}", figure, _RESPONSES)
+    return Figure(f"Measured responses: {words}", figure, caption or _RESPONSES)
 
 
 def _measured(records: Sequence[Record], axes: Sequence[str]) -> frf.Frf | None:
@@ -1210,7 +1214,7 @@ def seal_figure(fit: SealFit) -> Figure:
 def _comparisons(machine: Machine, checked: LoopIdentification) -> list[Figure]:
     figures: list[Figure] = []
     if checked.responses:
-        return [responses_figure(machine, checked.responses)]
+        return [responses_figure(checked.responses)]
     several = len(checked.outputs) > 1
     for number, piece in telling_records(checked.outputs):
         where = f", record {number}" if several else ""

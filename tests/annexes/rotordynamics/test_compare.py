@@ -7,6 +7,8 @@ import json
 import math
 import time
 from dataclasses import replace
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,12 +24,16 @@ from ambrose.annexes.rotordynamics.comparison import (
     TheirRow,
     Theirs,
     _assign,
+    beside_responses,
     read_table,
 )
 from ambrose.annexes.rotordynamics.page import lateral_page
 from ambrose.annexes.rotordynamics.standard import rpm
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
+from ambrose.law.loop import timing_of
+from ambrose.record.response_files import write_response
+from analyser import Truth, matrices
 
 
 @pytest.fixture(scope="module")
@@ -314,3 +320,62 @@ def test_of_many_rows_those_are_printed_that_decide(analysis, tmp_path):
     done = CliRunner().invoke(main, ["compare", str(data), str(theirs), "--details"])
     assert "200 of 1,000 rows: first those without a partner" in done.output
     assert done.output.count("um p-p") == 3 * 200  # theirs, ours and the difference
+
+
+# ----------------------------------------------------------------- measured responses of the loop
+
+
+@cache
+def swept(magnets):
+    """The seal rig's responses on the tests' own rig while its PID runs, and that PID."""
+    file = Path(amb.__file__).parent / "machines" / "seal-rig.toml"
+    law = amb.design("seal-rig", "pid").controller
+    rig = Truth.of(file, 1e4, magnets, modes=16)
+    return law, rig, rig.sweep("seal-rig", matrices(law, 1e4), rig.hertz(packed=20))
+
+
+@pytest.mark.parametrize("magnets", [(0.0, 0.0), (0.1, -0.08)])
+def test_measured_resonances_lie_beside_predicted_ones(magnets, analysis):
+    law, rig, response = swept(magnets)
+    machine = amb.load_machine("seal-rig")
+    timing = timing_of(machine, law, 1e4)
+    found = beside_responses(machine, law, response, timing)
+    frequencies = [pair for pair in found.pairs if pair.quantity == "frequency"]
+    heights = [pair for pair in found.pairs if pair.quantity == "height"]
+    assert len(frequencies) == len(heights) >= 4 and not found.unpaired
+    # every measured resonance is a pole of the rig's own loop
+    poles = rig.light_poles(matrices(law, 1e4)).imag / (2 * math.pi)
+    for pair in frequencies:
+        nearest = np.abs(poles / pair.theirs - 1).min()
+        assert nearest < 0.05 or pair.theirs < 200  # below, the rigid modes are damped
+    if magnets == (0.0, 0.0):
+        # noise of 1 % on a broad maximum, lines 4.7 % apart; a bending mode's are close
+        assert all(abs(p.percent) < (0.5 if p.theirs > 200 else 12) for p in frequencies)
+        assert max(abs(pair.percent) for pair in heights) < 15
+        assert "up to 1600 Hz" in found.agreement
+    else:
+        assert max(abs(pair.percent) for pair in heights) > 15
+        assert "10 degrees" in found.agreement and "up to 1600 Hz" not in found.agreement
+    shown = lateral_page(analysis, comparison=found)
+    section = next(s for s in shown.sections if s.title.startswith("Measured responses"))
+    assert "API 617" in section.text and section.figures and section.tables
+    assert {trace.name for trace in section.figures[0].picture.data} >= {"this analysis"}
+
+
+def test_responses_of_another_machine_or_without_an_axis_on_itself_are_refused():
+    law, _, response = swept((0.0, 0.0))
+    machine = amb.load_machine("seal-rig")
+    timing = timing_of(machine, law, 1e4)
+    with pytest.raises(InvalidInput, match="the machine of responses 1"):
+        beside_responses(machine, law, replace(response, machine="other"), timing)
+    across = tuple(path for path in response.paths if path.read != path.injected)
+    with pytest.raises(InvalidInput, match="no response of an axis on itself"):
+        beside_responses(machine, law, replace(response, paths=across), timing)
+
+
+def test_the_command_takes_responses_and_asks_for_their_controller(tmp_path):
+    _, _, response = swept((0.0, 0.0))
+    write_response(response, tmp_path / "sweep.csv")
+    words = ["lateral", "seal-rig", "--beside", str(tmp_path / "sweep.csv")]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 2 and "--controller" in done.stderr

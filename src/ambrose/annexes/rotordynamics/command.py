@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from ambrose.core.checks import InvalidInput
 from ambrose.options import AsItRuns
 from ambrose.terminal import (
     AS_JSON,
@@ -68,8 +70,9 @@ _MOST_ROWS = 200  # of a comparison in a terminal
 @click.option(
     "--beside",
     type=click.Path(path_type=Path),
-    help="Another analysis (its lateral.json: before and after), or a table of measured values or "
-    "of another code (*.csv), side by side with this one.",
+    help="Another analysis (its lateral.json: before and after), a table of measured values or of "
+    "another code (*.csv), or frequency responses that were measured while this controller ran, "
+    "side by side with this one.",
 )
 @click.option("--data", type=click.Path(path_type=Path), help="The report as data (lateral.json).")
 @AS_JSON
@@ -94,13 +97,21 @@ def lateral_command(
     a requirement is not met, or one that the standard requires was not checked.
     """
     from ambrose.annexes.rotordynamics.analysis import lateral
-    from ambrose.annexes.rotordynamics.comparison import compare, read_theirs
+    from ambrose.annexes.rotordynamics.comparison import beside_responses, compare, read_theirs
     from ambrose.annexes.rotordynamics.page import verdict_words
     from ambrose.annexes.rotordynamics.standard import RPM
+    from ambrose.law.loop import timing_of
+    from ambrose.record.response_files import holds_responses, read_response
 
     description = load(machine, magnets=False)
     law = None if controller is None else load_controller(controller, description)
-    other = None if beside is None else read_theirs(beside)
+    other, responses = None, None
+    if beside is not None and holds_responses(beside):
+        responses = read_response(beside)
+        if law is None:
+            raise InvalidInput("responses of a loop are compared with it; give its --controller")
+    elif beside is not None:
+        other = read_theirs(beside)
     claim(page=output, data=data)
     with progress_shown(as_json) as progress:
         result = lateral(
@@ -114,6 +125,14 @@ def lateral_command(
             **asked_for(AsItRuns, asked).values(),
         )
         comparison = None if other is None else compare(result, other)
+        if responses is not None:
+            how = asked_for(AsItRuns, asked)
+            timing = timing_of(
+                description, law, how.rate or responses.sample_rate_hz, how.delay_samples
+            )
+            comparison = replace(
+                beside_responses(description, law, responses, timing), theirs_name=beside.name
+            )
         failure = kept_page(result, output, progress=progress, comparison=comparison)
         if data is not None:
             failure = kept(lambda path: _write(result, path), data) or failure
@@ -180,6 +199,11 @@ def print_comparison(result: Comparison) -> None:
     """The pairs as a table, and how far they are apart."""
     from ambrose.annexes.rotordynamics.page import comparison_texts
 
+    if result.agreement:
+        say(f"{result.theirs_name}: {result.agreement}")
+    if result.responses and not result.pairs:
+        say("No resonance stands out of the measured responses.")
+        return
     print_table(
         f"{result.machine} beside {result.theirs_name}",
         ("where", "quantity", "theirs", "ours", "ours less theirs", ""),

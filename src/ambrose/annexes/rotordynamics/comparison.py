@@ -24,9 +24,25 @@ from ambrose.annexes.rotordynamics.result import SCHEMA, Lateral
 from ambrose.annexes.rotordynamics.standard import MODES_TO, RPM, rpm
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.presentation import Presented, data_frame
+from ambrose.identification.responses import response_fit
+from ambrose.identification.result import ResponseFit
+from ambrose.judge.measured import modelled, placed, read_responses
+from ambrose.judge.plants import full_plants
+from ambrose.law.law import LawLike
+from ambrose.law.loop import Timing, running_law
+from ambrose.machine.criteria import TWO_PI
 from ambrose.machine.file.stations import Column, NamedTable, named_table
+from ambrose.machine.machine import Machine
 from ambrose.machine.ordinary_file import check_form, parse_json, read_text
 from ambrose.machine.units import quoted, shown
+from ambrose.record.response import (
+    QUANTITIES,
+    Path as MeasuredPath,
+    Response,
+    agreement,
+    noise_beside,
+    usable,
+)
 
 # Another code's results, or measured ones, as a table: CSV with a row of names first.
 #
@@ -400,7 +416,8 @@ class Comparison(Presented):
     """Two sets of results side by side.
 
     machine: whose they are; theirs_name: what the other side is called. pairs: row by row.
-    within [%]: the largest difference that is accepted (None: no verdict).
+    within [%]: the largest difference that is accepted (None: no verdict). responses: measured ones
+    beside ours; agreement: up to which frequency they agree, in words.
     """
 
     _FACTS: ClassVar = ("machine", "theirs=theirs_name", "pairs", "largest_percent", "passed")
@@ -409,6 +426,8 @@ class Comparison(Presented):
     theirs_name: str
     pairs: tuple[Pair, ...]
     within: float | None = None
+    responses: tuple[ResponseFit, ...] = ()
+    agreement: str = ""
 
     @property
     def unpaired(self) -> tuple[Pair, ...]:
@@ -417,8 +436,8 @@ class Comparison(Presented):
 
     @property
     def compared(self) -> bool:
-        """Whether any row has a partner."""
-        return len(self.unpaired) < len(self.pairs)
+        """Whether any row has a partner, or responses lie side by side."""
+        return len(self.unpaired) < len(self.pairs) or bool(self.responses)
 
     @property
     def largest_percent(self) -> float | None:
@@ -447,7 +466,7 @@ class Comparison(Presented):
             "passed": self.passed,
             "largest_difference_percent": self.largest_percent,
             "rows": [pair.to_dict() for pair in self.pairs],
-        }
+        } | ({"agreement": self.agreement} if self.agreement else {})
 
     def to_frame(self) -> Any:
         """A pandas.DataFrame with a row per pair."""
@@ -553,6 +572,86 @@ def _check_curves(response: Mapping[str, Any]) -> None:
                     f"response.curves[{i}].{key} has {len(curve[key])} values for {len(speeds)} "
                     f"speeds; {_AGAIN}"
                 )
+
+
+# Measured frequency responses of the running loop beside those of the full model, as API 617 asks
+# for them of magnetic bearings: resonance by resonance, and line by line.
+
+_PROMINENT = 1.0  # [dB] of a resonance over what lies beside it, at least
+_CLEAR = 5.0  # and deviations of its noise
+_FINER = 8  # lines of ours for one of theirs
+
+
+def beside_responses(
+    machine: Machine, controller: LawLike, source: Response | str | Path, timing: Timing | None
+) -> Comparison:
+    """The responses of every axis on itself that were measured while a controller ran, beside those
+    of the full model with it: frequency and height of every resonance, and how far both agree.
+
+    Raises InvalidInput for responses of another machine or of no operating point of it.
+    """
+    (given,) = read_responses(source)
+    plants = full_plants(machine)
+    ((number, _),) = placed(plants, given, None).items()
+    plant, law = plants[number], running_law(controller, plants[number], timing)
+    given = usable(given, plant.axes, law.dt)
+    alone = tuple(path for path in given.paths if path.read == path.injected)
+    if not alone:
+        raise InvalidInput(
+            "no response of an axis on itself was measured; sweep every axis and record it"
+        )
+    own = replace(given, paths=alone)
+    fine = np.unique(np.interp(
+        np.arange(_FINER * len(own.omega)) / _FINER, np.arange(len(own.omega)), own.omega
+    ))  # fmt: skip
+    finer = replace(own, omega=fine, paths=tuple(
+        replace(path, values=np.interp(fine, own.omega, path.values), variance=None)
+        for path in own.paths
+    ))  # fmt: skip
+    ours = modelled(plant, controller, own, timing)
+    curves = modelled(plant, controller, finer, timing)
+    pairs, fits, items = [], [], []
+    for path, values, curve in zip(own.paths, ours, curves, strict=True):
+        noise = noise_beside(own.omega, path, values)
+        pairs += _resonance_pairs(path, own.omega, noise, fine, np.abs(curve))
+        fits.append(response_fit(own.omega, path, values, values, float(law.dt or 0.0)))
+        items.append((own.omega, path, values))
+    name = source.name if isinstance(source, Path) else str(getattr(source, "machine", source))
+    return Comparison(machine.name, name, tuple(pairs), None, tuple(fits), str(agreement(items)))
+
+
+def _resonance_pairs(
+    path: MeasuredPath, omega: np.ndarray, noise: np.ndarray, fine: np.ndarray, ours: np.ndarray
+) -> list[Pair]:
+    """Frequency and height of every resonance that was measured, and the nearest of ours."""
+    theirs = np.abs(path.values)
+    # a deviation of |X| in dB: 20 / ln 10 sigma / |X|
+    measured = _maxima(theirs, _PROMINENT + _CLEAR * 20 / np.log(10) * np.sqrt(noise / 2) / theirs)
+    found = _maxima(ours, np.zeros(len(ours)))  # exact, so that a slight one is a partner
+    rows = [TheirRow("mode", float(omega[k])) for k in measured]
+    chosen = _assign(rows, [(float(fine[k]), "") for k in found])
+    pairs = []
+    for k, partner in zip(measured, chosen, strict=True):
+        where = f"{path.name} at {omega[k] / TWO_PI:.4g} Hz"
+        at = None if partner is None else found[partner]
+        lone = f"no resonance of ours within {NEAR:.0%}" if at is None else ""
+        pairs += [
+            Pair(where, "frequency", float(omega[k] / TWO_PI),
+                 None if at is None else float(fine[at] / TWO_PI), "Hz", lone),
+            Pair(where, "height", float(theirs[k]), None if at is None else float(ours[at]),
+                 "/".join(filter(None, QUANTITIES[path.quantity][1:])), lone),
+        ]  # fmt: skip
+    return pairs
+
+
+def _maxima(size: np.ndarray, unsure: np.ndarray) -> list[int]:
+    """Where values (w,) have maxima, higher than what is unsure of them (w,) [dB]."""
+    from scipy.signal import find_peaks
+
+    places, facts = find_peaks(20 * np.log10(np.maximum(size, 1e-300)), prominence=0)
+    return [
+        int(k) for k, high in zip(places, facts["prominences"], strict=True) if high > unsure[k]
+    ]
 
 
 # ----------------------------------------------------------------------------- pairs

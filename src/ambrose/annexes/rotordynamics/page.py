@@ -30,6 +30,7 @@ from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
 from ambrose.model.effects.stations import IMPULSE, SURGE, Load
 from ambrose.report import theme
 from ambrose.report.figures.rotor_drawing import machine_drawing
+from ambrose.report.identification import responses_figure
 from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict, numbers
 from ambrose.report.tables import assumed_table
 
@@ -487,6 +488,14 @@ _SECTIONS = {  # where a row's figure stands, by the first word of its name
 }
 _MICRO = re.compile(r"\bum\b")
 _HYPHEN, _SPACE = "\u2011", "\u00a0"  # where no line ends
+_PREDICTED = (
+    "Each axis on itself, as measured (95 % band of its noise), and as the full model and this "
+    "controller make it. Third row: the model's error and the measurement's own (pale)."
+)
+_CLAUSE = (
+    "API 617 asks for measured and predicted responses of magnetic bearings side by side "
+    "(recalled; read clause and limits in the standard)."
+)
 _BESIDE = (
     "Critical speeds and modes are paired so that the sum of all deviations is least. Amplitudes "
     "are comparable only where both analyses have the same unbalance."
@@ -564,7 +573,7 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
         tables = tuple(phase_table(budget) for budget in result.phase_budgets)
         sections.append(Section("Phase budget", _PHASE, (), tables))
     if comparison is not None:
-        sections.append(Section("Side by side", _BESIDE, (), (comparison_table(comparison),)))
+        sections.append(_comparison_section(comparison))
     chosen = assumed_table(result.machine)
     if result.notes or chosen:
         sections.append(Section("Notes", "\n\n".join(result.notes), (), chosen))
@@ -688,6 +697,17 @@ def _at_the_border(one: LevelOne) -> str:
     since = " At Q = 0 it is not an oscillatory forward mode." if late else ""
     q = f"{1e-6 * one.border:.4g} N/µm ({theme.number(one.border)} N/m)"
     return f"At Q0, {q}, {mode}{other} becomes unstable.{since} {asked}"
+
+
+def _comparison_section(comparison: Comparison) -> Section:
+    """Theirs and ours, with the measured responses where there are some."""
+    table = (comparison_table(comparison),)
+    if not comparison.responses:
+        return Section("Side by side", _BESIDE, (), table)
+    picture = responses_figure(comparison.responses, ("this analysis",), _PREDICTED)
+    agreed = comparison.agreement
+    words = f"{agreed[0].upper()}{agreed[1:]}. {_CLAUSE}"
+    return Section("Measured responses beside predicted ones", words, (picture,), table)
 
 
 def comparison_table(comparison: Comparison) -> Table:

@@ -627,9 +627,7 @@ _WORDS = {True: "passed", False: "failed", None: "for information"}
 @click.option(
     "--bending-modes",
     type=click.IntRange(min=0),
-    default=3,
-    show_default=True,
-    help="Per plane in the model that is fitted.",
+    help="Per plane in the model that is fitted. Default: as many as the data tell.",
 )
 @click.option(
     "--accept",
@@ -662,7 +660,7 @@ def retune(
     records: tuple[Path, ...],
     controller: Path,
     unknown: tuple[str, ...],
-    bending_modes: int,
+    bending_modes: int | None,
     after: tuple[Path, ...],
     changed: bool,
     anyway: bool,

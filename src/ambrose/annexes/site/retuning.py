@@ -312,7 +312,7 @@ def retune(
     directory: str | Path,
     *,
     unknown: str | Sequence[str] = (),
-    bending_modes: int = 3,
+    bending_modes: int | None = None,
     accept_from: Records = (),
     anyway: bool = False,
     changed: bool = False,
@@ -326,15 +326,14 @@ def retune(
     point: then controllers are judged there on the measured plant. controller: the one that ran, a
     file or a law, fixed. directory: keeps identified.toml, controller.json, code/ and
     retuning.json; a run with the same arguments takes the design up again. unknown: what to
-    identify, as for
-    ``identify`` (empty: what is usual); bending_modes: per plane in the model that is fitted.
-    accept_from: records with the new controller running, by
-    which the change is accepted. changed: the machine is known to have changed beyond the file's
-    own tolerances (a magnet exchanged, a seal worn), so that values there are no doubt. anyway:
-    design a new one also where the running one meets every
-    limit over the intervals. The identified intervals are the box that the controllers are judged
-    over. Raises InvalidInput for what cannot be begun: a record of another machine or controller,
-    one that carries nothing, a schedule in place of a fixed controller.
+    identify, as for ``identify`` (empty: what is usual); bending_modes: per plane in the model that
+    is fitted (None: as many as the data tell). accept_from: records with the new controller
+    running, by which the change is accepted. changed: the machine is known to have changed beyond
+    the file's own tolerances (a magnet exchanged, a seal worn), so that values there are no doubt.
+    anyway: design a new one also where the running one meets every limit over the intervals. The
+    identified intervals are the box that the controllers are judged over. Raises InvalidInput for
+    what cannot be begun: a record of another machine or controller, one that carries nothing, a
+    schedule in place of a fixed controller.
     """
     given = machine_of(machine)
     law = controller_of(controller, given)
@@ -358,7 +357,7 @@ def retune(
     with claimed(folder, "folder"):
         make_folder(folder)
         wanted = (unknown,) if isinstance(unknown, str) else tuple(unknown)
-        began = _begun(folder, given, running, names, (*wanted, f"{bending_modes} bending modes"))
+        began = _begun(folder, given, running, names, (*wanted, f"{bending_modes} modes"))
         responses = tuple(item for item in measured if isinstance(item, Response))
         chain = _Chain(given, running, timing, folder, progress, began, [], {}, responses)
         fit = {"unknown": unknown, "bending_modes": bending_modes}
