@@ -5,6 +5,7 @@ m x'' + c x' + k x = U W^2 e^{j W t},    damped natural frequency and log decrem
 
 import json
 import math
+import re
 import time
 from dataclasses import replace
 from functools import cache
@@ -352,10 +353,10 @@ def test_measured_resonances_lie_beside_predicted_ones(magnets, analysis):
         # noise of 1 % on a broad maximum, lines 4.7 % apart; a bending mode's are close
         assert all(abs(p.percent) < (0.5 if p.theirs > 200 else 12) for p in frequencies)
         assert max(abs(pair.percent) for pair in heights) < 15
-        assert "up to 1600 Hz" in found.agreement
+        assert float(re.search(r"up to ([\d.]+) Hz", found.agreement)[1]) > 1000
     else:
         assert max(abs(pair.percent) for pair in heights) > 15
-        assert "10 degrees" in found.agreement and "up to 1600 Hz" not in found.agreement
+        assert float(re.search(r"up to ([\d.]+) Hz", found.agreement)[1]) < 200
     shown = lateral_page(analysis, comparison=found)
     section = next(s for s in shown.sections if s.title.startswith("Measured responses"))
     assert "API 617" in section.text and section.figures and section.tables
