@@ -375,14 +375,15 @@ class _Solver:
 
     def step(self, iterate: Minimum) -> bool:
         """One predictor and corrector; whether it moved on."""
-        inverse = [_inverse(S) for S in self.S]
+        roots, roots_z = ([_root(M) for M in matrices] for matrices in (self.S, self.Z))
+        inverse = [half.T @ half for half in roots]
         factor = self.schur_complement(inverse)
         mu = self.complementarity() / self.order
         r = self.residuals()
 
         # Predictor: mu = 0, and the mu that its longest steps, a of S and b of Z, would leave.
         dx, dS, dZ = self.direction(factor, inverse, r, 0.0, None)
-        a, b = _longest(self.S, dS), _longest(self.Z, dZ)
+        a, b = _longest(roots, dS), _longest(roots_z, dZ)
         after = (
             sum(
                 np.sum((S + a * d) * (Z + b * e))
@@ -400,7 +401,7 @@ class _Solver:
         second = [_symmetric(e @ d @ W) for d, e, W in zip(dS, dZ, inverse, strict=True)]
         dx, dS, dZ = self.direction(factor, inverse, r, centre * mu, second)
         share = 0.9 + 0.09 * min(1.0, a, b)  # of the way to the boundary, never beyond
-        a, b = (min(1.0, share * _longest(M, d)) for M, d in ((self.S, dS), (self.Z, dZ)))
+        a, b = (min(1.0, share * _longest(M, d)) for M, d in ((roots, dS), (roots_z, dZ)))
         self.x = self.x + a * dx
         self.S = [S + a * d for S, d in zip(self.S, dS, strict=True)]
         self.Z = [Z + b * d for Z, d in zip(self.Z, dZ, strict=True)]
@@ -477,19 +478,19 @@ def _symmetric(M: np.ndarray) -> np.ndarray:
     return (M + M.T) / 2
 
 
-def _inverse(S: np.ndarray) -> np.ndarray:
-    L = np.linalg.cholesky(S)
-    half = sla.solve_triangular(L, np.eye(len(S)), lower=True, check_finite=False)
-    return half.T @ half
+def _root(M: np.ndarray) -> np.ndarray:
+    """L^-1 of M = L L^T (d, d): M^-1 is its product with itself, L^-T L^-1."""
+    L = np.linalg.cholesky(M)
+    return np.asarray(sla.solve_triangular(L, np.eye(len(M)), lower=True, check_finite=False))
 
 
-def _longest(matrices: Sequence[np.ndarray], changes: Sequence[np.ndarray]) -> float:
-    """The largest step, at most 1e3, that keeps every matrix positive definite."""
+def _longest(roots: Sequence[np.ndarray], changes: Sequence[np.ndarray]) -> float:
+    """The largest step, at most 1e3, that keeps every matrix positive definite; roots: L^-1 of
+    each.
+    """
     smallest = 0.0
-    for M, change in zip(matrices, changes, strict=True):
-        # M = L L^T; M + a dM > 0 as long as I + a L^-1 dM L^-T > 0
-        L = np.linalg.cholesky(M)
-        half = sla.solve_triangular(L, change, lower=True, check_finite=False)
-        inner = sla.solve_triangular(L, half.T, lower=True, check_finite=False)
+    for half, change in zip(roots, changes, strict=True):
+        # M + a dM > 0 as long as I + a L^-1 dM L^-T > 0
+        inner = half @ change @ half.T
         smallest = min(smallest, float(np.linalg.eigvalsh(_symmetric(inner))[0]))
     return min(1e3, -1 / smallest) if smallest < 0 else 1e3
