@@ -280,11 +280,10 @@ class _Solver:
         self.cost = cost * self.unit
         self.items = items
 
-        # [F_i1 F_i2 ...] side by side, (d, k d)
-        self.wide = [
-            smat(i.rows.T).transpose(1, 0, 2).reshape(i.side, len(i.columns) * i.side)
-            for i in items
-        ]
+        # F_i1, F_i2 ... below each other, (k d, d); and what (G + G^T)[upper] is multiplied by for
+        # <sym(G), F_ij>, (d (d + 1)/2, k)
+        self.tall = [smat(i.rows.T).reshape(len(i.columns) * i.side, i.side) for i in items]
+        self.halves = [_places(i.side)[2][:, None] * i.rows / 2 for i in items]
         self.order = sum(item.side for item in items)
         self.x = np.zeros(len(cost))
 
@@ -413,14 +412,16 @@ class _Solver:
         products: dict[
             tuple[MatrixVariable, MatrixVariable], tuple[list[np.ndarray], list[np.ndarray]]
         ] = {}
-        for i, F, Z, W in zip(self.items, self.wide, self.Z, inverse, strict=True):
+        for i, F, rows, Z, W in zip(
+            self.items, self.tall, self.halves, self.Z, inverse, strict=True
+        ):
             d, k = i.side, len(i.columns)
 
-            # G_j = sym(Z F_j S^-1), (k, d, d): M_jk = <G_j, F_k>
-            G = (Z @ F).reshape(d, k, d).transpose(1, 0, 2).reshape(k * d, d) @ W
-            G = G.reshape(k, d, d)
-            G = (G + G.transpose(0, 2, 1)) / 2
-            M[np.ix_(i.columns, i.columns)] += svec(G) @ i.rows
+            # G_j = Z F_j S^-1, (k, d, d): M_jk = <sym(G_j), F_k>
+            G = Z @ (F @ W).reshape(k, d, d)
+            upper, lower, _ = _places(d)
+            flat = G.reshape(k, d * d)
+            M[np.ix_(i.columns, i.columns)] += (flat.take(upper, 1) + flat.take(lower, 1)) @ rows
 
             # Terms of matrix variables: with the columns written out, <G_j, term>, and with one
             # another as Kronecker products, gathered over the inequalities. Mixed parts are entered
@@ -428,7 +429,8 @@ class _Solver:
             for n, a in enumerate(i.terms):
                 span = slice(a.variable.start, a.variable.stop)
                 for column, inner in zip(i.columns, G, strict=True):
-                    M[span, column] += 2 * a.adjoint(inner)  # its mirror image is left to the end
+                    # its mirror image is left to the end
+                    M[span, column] += 2 * a.adjoint(_symmetric(inner))
                 for b in i.terms[n:]:
                     P, Q = products.setdefault((a.variable, b.variable), ([], []))
                     factors = kronecker(a, b, Z, W)
