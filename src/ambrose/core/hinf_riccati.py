@@ -236,8 +236,8 @@ def unavoidable(plant: ScaledPlant, at: Sequence[float] = ()) -> float:
         else np.zeros(0)
     )
     P = np.concatenate([evaluate(form, 1j * np.append(omega, at)), D[None]])
-    P11, P12, P21 = P[:, :r, :q], P[:, :r, q:], P[:, r:, :q]
-    left, right = _complements(P12), _complements(P21.conj().swapaxes(1, 2))
+    P11 = P[:, :r, :q]
+    left, right = _complements(P[:, :r, q:]), _complements(P[:, r:, :q].conj().swapaxes(1, 2))
     sizes = np.maximum(largest_gain(left.conj().swapaxes(1, 2) @ P11), largest_gain(P11 @ right))
     rounding = 1e-12 * np.linalg.norm(P11, axis=(1, 2))
     return max(0.0, float((sizes - rounding).max()))
