@@ -244,10 +244,11 @@ def test_study_resumes_with_a_kept_controller_and_redesigns_a_damaged_one(tmp_pa
     # the certificate's plant is named once, however often it is taken up
     assert "88 states; seal-rig" not in page
     path.write_bytes(before[:100])
-    assert call("study", machine, "-o", tmp_path / "out", "--json").exit_code == 1
+    done = call("study", machine, "-o", tmp_path / "out")
+    assert done.exit_code == 1
     assert json.loads(path.read_text())["A"] == json.loads(before)["A"]
     # the page's verdict comes first on the screen, once
-    screen = call("study", machine, "-o", tmp_path / "out").stdout.splitlines()
+    screen = done.stdout.splitlines()
     assert screen[0] and screen[0][:40] in (tmp_path / "out" / "report.html").read_text()
     assert not [line for line in screen[1:] if line.startswith(screen[0][:40])]
     assert any(line.startswith("Report: ") for line in screen)

@@ -467,8 +467,10 @@ def _summed(A: np.ndarray, B: np.ndarray, steps: float) -> np.ndarray:
     powers = [np.eye(len(A))]
     for _ in range(min(_BATCH, count)):
         powers.append(A @ powers[-1])
+    rows = np.reshape(powers[:-1], (len(A) * (len(powers) - 1), len(A)))
     for start in range(0, count, _BATCH):
-        total += np.abs(np.stack(powers[: min(_BATCH, count - start)]) @ response).sum(axis=0)
+        samples = rows[: len(A) * (count - start)] @ response
+        total += np.abs(samples).reshape(min(_BATCH, count - start), *B.shape).sum(axis=0)
         response = powers[-1] @ response
 
         # each entry against its own sum: states and inputs may be in units of any size; what is

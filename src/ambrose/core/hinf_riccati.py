@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
-from ambrose.core.frequency import evaluate, schur_eigenvalues, schur_form
+from ambrose.core.frequency import evaluate, largest_gain, schur_eigenvalues, schur_form
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.matrix_equations import solve_riccati
 from ambrose.core.statespace import StateSpace, balance_matrix as balance, balance_system
@@ -235,25 +235,22 @@ def unavoidable(plant: ScaledPlant, at: Sequence[float] = ()) -> float:
         if moduli.size
         else np.zeros(0)
     )
-    largest = 0.0
-    for P in np.concatenate([evaluate(form, 1j * np.append(omega, at)), D[None]]):
-        # N and M: bases of what P12 does not reach and of what P21 does not see
-        P11 = P[:r, :q]
-        P12 = P[:r, q:]
-        P21 = P[r:, :q]
-        left, right = _complement(P12), _complement(P21.conj().T)
-        sizes = [
-            np.linalg.norm(part, 2) for part in (left.conj().T @ P11, P11 @ right) if part.size
-        ]
-        rounding = 1e-12 * np.linalg.norm(P11)
-        largest = max([largest, *(float(size - rounding) for size in sizes)])
-    return largest
+    P = np.concatenate([evaluate(form, 1j * np.append(omega, at)), D[None]])
+    P11 = P[:, :r, :q]
+    left, right = _complements(P[:, :r, q:]), _complements(P[:, r:, :q].conj().swapaxes(1, 2))
+    sizes = np.maximum(largest_gain(left.conj().swapaxes(1, 2) @ P11), largest_gain(P11 @ right))
+    rounding = 1e-12 * np.linalg.norm(P11, axis=(1, 2))
+    return max(0.0, float((sizes - rounding).max()))
 
 
-def _complement(M: np.ndarray) -> np.ndarray:
-    """An orthonormal basis of what M (r, m) does not reach, (r, k), or reaches only by rounding."""
+def _complements(M: np.ndarray) -> np.ndarray:
+    """Orthonormal bases of what each M (w, r, m) does not reach, or reaches only by rounding,
+    beside columns of zeros, (w, r, r).
+    """
     U, values, _ = np.linalg.svd(M)
-    return U[:, int((values > np.finfo(float).eps * len(M) * values.max(initial=0.0)).sum()) :]
+    rounding = np.finfo(float).eps * M.shape[1] * values.max(axis=1, initial=0.0, keepdims=True)
+    reached = (values > rounding).sum(axis=1)
+    return np.asarray(U * (np.arange(M.shape[1]) >= reached[:, None])[:, None])
 
 
 def _channel_scale(direct: np.ndarray, gains: np.ndarray, axis: int) -> np.ndarray:

@@ -59,7 +59,7 @@ _PER_DECADE = 9  # points of a grid
 # a design's grid reaches this factor beyond the slowest and fastest pole of the plant
 _MARGIN = 10.0
 _SAME = 1e-12  # of a column, to which it must be made of others
-_FEW = 3  # channels up to which elimination side by side is faster than LAPACK point by point
+_FEW = 4  # channels up to which elimination side by side is faster than LAPACK point by point
 _SMALL = 1e-5  # a pivot, over the other entries of its column, that spoils digits
 
 
@@ -333,35 +333,47 @@ def _spanning(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def upper_lft_responses(M: np.ndarray, gain: np.ndarray) -> np.ndarray:
     """M22 + M21 gain (I - M11 gain)^-1 M12, (d, p, m, k), of responses M (z + p, w + m, k) at k
-    frequencies and gains (d, w, z); not finite at a pole.
+    frequencies and real gains (d, w, z); not finite at a pole.
 
     What is solved is of the number of channels w. Of few, all points go side by side.
     """
     d, r, z = gain.shape
+    columns, k = M.shape[1:]
+    F = np.ascontiguousarray(M.transpose(2, 0, 1))
     if r > _FEW:
-        F = np.ascontiguousarray(M.transpose(2, 0, 1))
-        W = (gain[:, None] @ F[:, :z]).reshape(d * len(F), r, F.shape[2])
-        v = memberwise(np.linalg.solve, np.eye(r) - W[:, :, :r], W[:, :, r:])
-        T = F[:, z:, r:] + F[:, z:, :r] @ v.reshape(d, len(F), *v.shape[1:])
+        W = (gain[:, None] @ F[:, :z]).reshape(d * k, r, columns)
+        solved = memberwise(np.linalg.solve, np.eye(r) - W[:, :, :r], W[:, :, r:])
+        T = F[:, z:, r:] + F[:, z:, :r] @ solved.reshape(d, k, r, columns - r)
         return np.asarray(np.moveaxis(T, 1, 3))
-    W = (gain.reshape(d * r, z) @ M[:z].reshape(z, -1)).reshape(d, r, *M.shape[1:])
-    X, Y = np.eye(r)[:, :, None] - W[:, :, :r], W[:, :, r:]
+
+    # (I - gain M11, gain M12), (r, columns, k d), the points side by side in memory
+    by = gain.transpose(2, 1, 0).reshape(z, r * d)
+    whole = np.empty((r, columns, k, d), complex)
+    for part, of in ((whole.real, F[:, :z].real), (whole.imag, F[:, :z].imag)):
+        rows = of.transpose(2, 0, 1).reshape(columns * k, z)
+        part[:] = (rows @ by).reshape(columns, k, r, d).transpose(2, 0, 1, 3)
+    side = whole.reshape(r, columns, k * d)
+    side[:, :r] *= -1
+    side[range(r), range(r)] += 1
 
     # v = gain z: (I - gain M11) v = gain M12 u, by elimination; a factor beyond 1 / _SMALL spoils
     # digits, and its points are solved with pivoting
-    W = np.concatenate([X, Y], axis=2)
-    spoilt = np.zeros((d, M.shape[2]), bool)
+    spoilt = np.zeros(k * d, bool)
     with np.errstate(all="ignore"):
         for i in range(r):
-            spoilt |= ~(np.abs(W[:, i, i]) > _SMALL * np.abs(W[:, :, i]).max(axis=1))
-            W[:, i] /= W[:, i, None, i].copy()
-            for j in np.flatnonzero(np.arange(r) != i):
-                W[:, j] -= W[:, j, None, i].copy() * W[:, i]
-    v, at = W[:, :, r:], np.nonzero(spoilt)
-    v[at[0], :, :, at[1]] = memberwise(
-        np.linalg.solve, X[at[0], :, :, at[1]], Y[at[0], :, :, at[1]]
-    )
-    return M[z:, r:] + sum(M[z:, i, None] * v[:, None, i] for i in range(r))
+            square = side[:, i].real ** 2 + side[:, i].imag ** 2
+            spoilt |= ~(square[i] > _SMALL**2 * square.max(axis=0))
+            side[i, i + 1 :] *= 1 / side[i, i]
+            for j in [*range(i), *range(i + 1, r)]:  # columns up to i are not looked at again
+                side[j, i + 1 :] -= side[j, i] * side[i, i + 1 :]
+    v = side[:, r:].reshape(r, columns - r, k, d)
+    at, member = np.nonzero(spoilt.reshape(k, d))
+    Y = gain[member] @ F[at, :z]
+    pivoted = memberwise(np.linalg.solve, np.eye(r) - Y[:, :, :r], Y[:, :, r:])
+    v[:, :, at, member] = pivoted.transpose(1, 2, 0)
+    found = F[:, z:, :r] @ v.transpose(2, 0, 1, 3).reshape(k, r, (columns - r) * d)
+    T = found.reshape(k, len(M) - z, columns - r, d) + F[:, z:, r:, None]
+    return np.asarray(T.transpose(3, 1, 2, 0))
 
 
 def design_grid(plant: GeneralizedPlant) -> np.ndarray:

@@ -280,11 +280,10 @@ class _Solver:
         self.cost = cost * self.unit
         self.items = items
 
-        # [F_i1 F_i2 ...] side by side, (d, k d)
-        self.wide = [
-            smat(i.rows.T).transpose(1, 0, 2).reshape(i.side, len(i.columns) * i.side)
-            for i in items
-        ]
+        # F_i1, F_i2 ... below each other, (k d, d); and what (G + G^T)[upper] is multiplied by for
+        # <sym(G), F_ij>, (d (d + 1)/2, k)
+        self.tall = [smat(i.rows.T).reshape(len(i.columns) * i.side, i.side) for i in items]
+        self.halves = [_places(i.side)[2][:, None] * i.rows / 2 for i in items]
         self.order = sum(item.side for item in items)
         self.x = np.zeros(len(cost))
 
@@ -375,14 +374,15 @@ class _Solver:
 
     def step(self, iterate: Minimum) -> bool:
         """One predictor and corrector; whether it moved on."""
-        inverse = [_inverse(S) for S in self.S]
+        roots, roots_z = ([_root(M) for M in matrices] for matrices in (self.S, self.Z))
+        inverse = [half.T @ half for half in roots]
         factor = self.schur_complement(inverse)
         mu = self.complementarity() / self.order
         r = self.residuals()
 
         # Predictor: mu = 0, and the mu that its longest steps, a of S and b of Z, would leave.
         dx, dS, dZ = self.direction(factor, inverse, r, 0.0, None)
-        a, b = _longest(self.S, dS), _longest(self.Z, dZ)
+        a, b = _longest(roots, dS), _longest(roots_z, dZ)
         after = (
             sum(
                 np.sum((S + a * d) * (Z + b * e))
@@ -400,7 +400,7 @@ class _Solver:
         second = [_symmetric(e @ d @ W) for d, e, W in zip(dS, dZ, inverse, strict=True)]
         dx, dS, dZ = self.direction(factor, inverse, r, centre * mu, second)
         share = 0.9 + 0.09 * min(1.0, a, b)  # of the way to the boundary, never beyond
-        a, b = (min(1.0, share * _longest(M, d)) for M, d in ((self.S, dS), (self.Z, dZ)))
+        a, b = (min(1.0, share * _longest(M, d)) for M, d in ((roots, dS), (roots_z, dZ)))
         self.x = self.x + a * dx
         self.S = [S + a * d for S, d in zip(self.S, dS, strict=True)]
         self.Z = [Z + b * d for Z, d in zip(self.Z, dZ, strict=True)]
@@ -412,14 +412,16 @@ class _Solver:
         products: dict[
             tuple[MatrixVariable, MatrixVariable], tuple[list[np.ndarray], list[np.ndarray]]
         ] = {}
-        for i, F, Z, W in zip(self.items, self.wide, self.Z, inverse, strict=True):
+        for i, F, rows, Z, W in zip(
+            self.items, self.tall, self.halves, self.Z, inverse, strict=True
+        ):
             d, k = i.side, len(i.columns)
 
-            # G_j = sym(Z F_j S^-1), (k, d, d): M_jk = <G_j, F_k>
-            G = (Z @ F).reshape(d, k, d).transpose(1, 0, 2).reshape(k * d, d) @ W
-            G = G.reshape(k, d, d)
-            G = (G + G.transpose(0, 2, 1)) / 2
-            M[np.ix_(i.columns, i.columns)] += svec(G) @ i.rows
+            # G_j = Z F_j S^-1, (k, d, d): M_jk = <sym(G_j), F_k>
+            G = Z @ (F @ W).reshape(k, d, d)
+            upper, lower, _ = _places(d)
+            flat = G.reshape(k, d * d)
+            M[np.ix_(i.columns, i.columns)] += (flat.take(upper, 1) + flat.take(lower, 1)) @ rows
 
             # Terms of matrix variables: with the columns written out, <G_j, term>, and with one
             # another as Kronecker products, gathered over the inequalities. Mixed parts are entered
@@ -427,7 +429,8 @@ class _Solver:
             for n, a in enumerate(i.terms):
                 span = slice(a.variable.start, a.variable.stop)
                 for column, inner in zip(i.columns, G, strict=True):
-                    M[span, column] += 2 * a.adjoint(inner)  # its mirror image is left to the end
+                    # its mirror image is left to the end
+                    M[span, column] += 2 * a.adjoint(_symmetric(inner))
                 for b in i.terms[n:]:
                     P, Q = products.setdefault((a.variable, b.variable), ([], []))
                     factors = kronecker(a, b, Z, W)
@@ -477,19 +480,19 @@ def _symmetric(M: np.ndarray) -> np.ndarray:
     return (M + M.T) / 2
 
 
-def _inverse(S: np.ndarray) -> np.ndarray:
-    L = np.linalg.cholesky(S)
-    half = sla.solve_triangular(L, np.eye(len(S)), lower=True, check_finite=False)
-    return half.T @ half
+def _root(M: np.ndarray) -> np.ndarray:
+    """L^-1 of M = L L^T (d, d): M^-1 is its product with itself, L^-T L^-1."""
+    L = np.linalg.cholesky(M)
+    return np.asarray(sla.solve_triangular(L, np.eye(len(M)), lower=True, check_finite=False))
 
 
-def _longest(matrices: Sequence[np.ndarray], changes: Sequence[np.ndarray]) -> float:
-    """The largest step, at most 1e3, that keeps every matrix positive definite."""
+def _longest(roots: Sequence[np.ndarray], changes: Sequence[np.ndarray]) -> float:
+    """The largest step, at most 1e3, that keeps every matrix positive definite; roots: L^-1 of
+    each.
+    """
     smallest = 0.0
-    for M, change in zip(matrices, changes, strict=True):
-        # M = L L^T; M + a dM > 0 as long as I + a L^-1 dM L^-T > 0
-        L = np.linalg.cholesky(M)
-        half = sla.solve_triangular(L, change, lower=True, check_finite=False)
-        inner = sla.solve_triangular(L, half.T, lower=True, check_finite=False)
+    for half, change in zip(roots, changes, strict=True):
+        # M + a dM > 0 as long as I + a L^-1 dM L^-T > 0
+        inner = half @ change @ half.T
         smallest = min(smallest, float(np.linalg.eigvalsh(_symmetric(inner))[0]))
     return min(1e3, -1 / smallest) if smallest < 0 else 1e3

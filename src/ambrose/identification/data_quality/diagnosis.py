@@ -264,11 +264,23 @@ def shares_by_axis(
     measured: Responses, expected: Expected | OpenLoop, wiring: Wiring
 ) -> dict[str, np.ndarray]:
     """The same of every axis (a,)."""
-    a = len(measured.mix)
-    excited = wiring.matrix("e", a).T @ measured.mix
-    true = {kind: wiring.matrix(kind, a).T @ values for kind, values in measured.values.items()}
+    channels = wiring.matrix(wiring.kind, len(measured.mix))[None]
+    found = _shares(measured, expected, wiring.kind, channels)
+    return {relation: share[0] for relation, share in found.items()}
+
+
+def _shares(
+    measured: Responses, expected: Expected | OpenLoop, kind: str, channels: np.ndarray
+) -> dict[str, np.ndarray]:
+    """The same of n wirings of one kind, side by side: channels (n, a, a) of the kind from the
+    axes; (n, a), or (1, a) of a relation that the kind has no part in.
+    """
+    back = channels.swapaxes(1, 2)[:, None]
+    excited = back @ measured.mix if kind == "e" else measured.mix[None, None]
+    true = {of: back @ row if of == kind else row[None] for of, row in measured.values.items()}
     noise = {
-        kind: values @ np.abs(wiring.matrix(kind, a)) for kind, values in measured.noise.items()
+        of: row @ np.abs(channels) if of == kind else row[None]
+        for of, row in measured.noise.items()
     }
     unexplained: dict[str, np.ndarray] = {}
     if isinstance(expected, OpenLoop):
@@ -290,11 +302,18 @@ def shares_by_axis(
 
 
 def _share(measured: np.ndarray, model: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    doubt = noise.sum(axis=0)
-    left = np.sum(np.abs(measured - model) ** 2, axis=(0, 2)) - doubt
-    size = np.sum(np.abs(measured) ** 2, axis=(0, 2))
-    size = np.maximum(np.maximum(size - doubt, doubt), 1e-3 * float(size.max(initial=0.0)))
+    """(n, a) of responses (n, w, a, r), with noise (n, w, a); n may be 1 where it is of none."""
+    doubt = noise.sum(axis=1)
+    left = _power(measured - model) - doubt
+    size = _power(measured)
+    largest = size.max(axis=1, initial=0.0, keepdims=True)
+    size = np.maximum(np.maximum(size - doubt, doubt), 1e-3 * largest)
     return np.asarray(np.maximum(left, 0.0) / np.maximum(size, 1e-300))
+
+
+def _power(values: np.ndarray) -> np.ndarray:
+    """The sum of squares (n, a) over lines and excitations, of (n, w, a, r)."""
+    return np.asarray((values.real**2 + values.imag**2).sum(axis=(1, 3)))
 
 
 def score(unexplained: Mapping[str, float]) -> float:
@@ -338,10 +357,15 @@ def ranked(
     """All wirings, the record as labelled among them, by rising score plus a little for every
     changed channel.
     """
+    a = len(measured.mix)
     rows = []
-    for wiring in (Wiring(), *wirings(kinds, len(measured.mix))):
-        unexplained = shares(measured, expected, wiring)
-        rows.append((score(unexplained) + 0.05 * wiring.changes, wiring, unexplained))
+    for kind in ("", *kinds):
+        chosen = list(wirings([kind], a)) if kind else [Wiring()]
+        found = _shares(measured, expected, kind, np.array([one.matrix(kind, a) for one in chosen]))
+        means = {relation: np.mean(share, axis=1) for relation, share in found.items()}
+        for i, wiring in enumerate(chosen):
+            unexplained = {of: float(mean[i if len(mean) > 1 else 0]) for of, mean in means.items()}
+            rows.append((score(unexplained) + 0.05 * wiring.changes, wiring, unexplained))
     return sorted(rows, key=lambda row: row[0])
 
 
