@@ -122,6 +122,35 @@ class Truth:
         return Response(name, omega, tuple(paths), point, sample_rate_hz=self.rate)
 
 
+def stepped(rig, law, hertz, amplitude, settle=0.25, least=0.06, periods=6, seed=0):
+    """Displacement per excitation current (w, a, a) as an analyser measures it in time: a sine of
+    ``amplitude`` [A] at one axis after the other, ``settle`` [s] and five periods waited at every
+    line, then whole periods correlated, ``periods`` or ``least`` [s] of them. With what the rig has of noise, hum,
+    converters' steps, run-out and bending magnets, and of the transient what is left.
+    """
+    a, found = len(rig.axes), []
+    waits = [round((settle + 5 / f) * rig.rate) for f in hertz]
+    counts = [round(max(periods, np.ceil(least * f)) / f * rig.rate) for f in hertz]
+    waves = [
+        np.sin(2 * np.pi * f / rig.rate * np.arange(wait + n))
+        for f, wait, n in zip(hertz, waits, counts, strict=True)
+    ]
+    ends = np.cumsum([len(wave) for wave in waves])
+    for axis in range(a):
+        e = np.zeros((a, ends[-1]))
+        e[axis] = amplitude * np.concatenate(waves)
+        y = rig.run(law, e, seed=seed + axis)["y"]
+        column = []
+        for f, n, end in zip(hertz, counts, ends, strict=True):
+            turn = np.exp(-2j * np.pi * f / rig.rate * np.arange(n))
+            part = y[:, end - n : end]
+            column.append(
+                (part - part.mean(1, keepdims=True)) @ turn / (e[axis, end - n : end] @ turn)
+            )
+        found.append(column)
+    return np.transpose(found, (1, 2, 0))
+
+
 def response(A, B, C, D, hertz, rate):
     z = np.exp(2j * np.pi * hertz / rate)
     inner = z[:, None, None] * np.eye(len(A)) - A
@@ -139,4 +168,4 @@ def matrices(law, rate):
     return A, B, law.C @ inner, law.D + law.C @ inner @ law.B * h / 2
 
 
-__all__ = ["Truth", "matrices", "replace"]
+__all__ = ["Truth", "matrices", "replace", "stepped"]

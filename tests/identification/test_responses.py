@@ -15,12 +15,13 @@ from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.core.sampling import c2d
 from ambrose.identification.findings import Code
+from ambrose.identification.responses import _noise_of
 from ambrose.judge.controller_file import write_controller
 from ambrose.machine.description import OperatingPoint
 from ambrose.record.response import Path, Response
 from ambrose.record.response_files import write_response
 from ambrose.report.identification import responses_figure
-from analyser import Truth, matrices
+from analyser import Truth, matrices, stepped
 from independent_rig import Rig, numbers_of
 
 MACHINE = "seal-rig"
@@ -483,3 +484,93 @@ def test_a_number_beyond_any_machine_is_refused(cell, column, tmp_path):
     (tmp_path / "r.csv").write_text("\n".join([*lines[:-1], ",".join(cells)]))
     done = CliRunner().invoke(main, ["record", "check", str(tmp_path / "r.csv"), MACHINE])
     assert done.exit_code == 2 and "ambrose: " in done.stderr, done.output
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_lines_that_hum_spoils_are_left_out_and_said(stated):
+    """Two lines beside 50 and 100 Hz; at 80 Hz it is no hum, and stays."""
+    law, true = matrices(controller(), 1e4), Truth.of(FILE, 1e4, (0.05, -0.05), modes=16)
+    lines = np.unique(np.append(np.geomspace(5, 450, 120), [49.0, 80.0, 101.0]))
+    clean = true.sweep(MACHINE, law, lines, stated=stated)
+    spoilt = np.isin(lines, [49.0, 101.0])
+
+    def with_hum(at):
+        paths = tuple(replace(p, values=p.values * np.where(at, 1.5, 1)) for p in clean.paths)
+        return replace(clean, paths=paths)
+
+    done = identify(with_hum(spoilt))
+    (note,) = (note for note in done.notes if "mains" in note)
+    assert note.startswith("2 lines") and "49, 101 Hz" in note
+    assert not any("nothing models" in str(item) for item in done.findings)
+    slopes = dict(zip(true.rig.axes, true.rig.mag[:, 4:6], strict=True))
+    for row in done.parameters:
+        _, bearing, quantity, way = row.path.split(".")
+        told = slopes[f"{bearing}_{way}"][int(quantity == "negative_stiffness")]
+        assert abs(row.value - told) < 4 * row.standard_deviation
+    assert not any("mains" in note for note in identify(clean).notes)
+    try:
+        beside = identify(with_hum(lines == 80.0))
+    except InvalidInput:
+        return  # refused, and so not silent
+    assert beside.findings and not any("mains" in note for note in beside.notes)
+
+
+def test_noise_that_nobody_stated_is_a_share_and_a_floor():
+    """sigma^2 = a |X|^2 + b over four decades of X, from 400 squares."""
+    rng = np.random.default_rng(3)
+    X = np.geomspace(1e-3, 10, 400)
+    for share, floor in ((0.01, 0.0), (0.0, 0.02), (0.01, 1e-3)):
+        truth = share**2 * X**2 + floor**2
+        squares = truth * rng.exponential(size=len(X))
+        found = _noise_of(X, squares)
+        assert np.abs(np.log(found / truth))[X > 0.01].max() < 0.6
+
+
+def stepped_sweep(name, speed, seed, settle=0.25):
+    """A machine's responses measured in time on the nonlinear rig; deviations of K_i and K_s."""
+    rate, modes, _ = FLEET[name]
+    known = amb.load_machine(name)
+    law = amb.design(known, "pid").controller
+    numbers = numbers_of(FilePath(amb.__file__).parent / "machines" / f"{name}.toml")
+    factors = 1 + np.random.default_rng(seed).uniform(-0.1, 0.1, 2)
+    for bearing in numbers["bearings"]:
+        for key, factor in zip(("ki", "ks"), factors, strict=True):
+            bearing[key] = np.asarray(bearing[key]) * factor
+    runout = {"runout": ((1, 2e-6, 0.3), (2, 8e-7, 1.1))} if speed else {}
+    rig = Rig(
+        numbers, rate, speed, modes=modes,
+        hum=2e-8, noise=5e-8, step_y=1e-8, step_u=2e-4, **runout,
+    )  # fmt: skip
+    ran, hertz = matrices(law, rate), np.geomspace(6, 1200, 110).round(2)
+    Y = stepped(rig, ran, hertz, 0.05, settle, seed=10 * seed)
+    paths = tuple(
+        Path("motion", rig.axes[i], rig.axes[j], Y[:, i, j]) for i, j in np.ndindex(Y.shape[1:])
+    )
+    point = OperatingPoint(speed, 0.0)
+    done = amb.identify(
+        known, Response(name, 2 * np.pi * hertz, paths, point, sample_rate_hz=rate), law
+    )
+    slopes = {
+        f"bearing.{axis.rpartition('_')[0]}.{quantity}.{axis.rpartition('_')[2]}": value
+        for quantity, values in zip(
+            ("force_per_current", "negative_stiffness"), rig.slopes(ran), strict=True
+        )
+        for axis, value in zip(rig.axes, values, strict=True)
+    }
+    return done, [
+        (row.value - slopes[row.path]) / row.standard_deviation
+        for row in done.parameters
+        if row.path in slopes
+    ]
+
+
+@pytest.mark.study
+@pytest.mark.parametrize(("name", "hertz"), [("seal-rig", 0.0), ("flywheel", 140.0)])
+def test_responses_that_an_analyser_measures_in_time(name, hertz):
+    """With noise, hum, steps of the converters, run-out at 1x and 2x, transients, bent magnets."""
+    errors = []
+    for seed in range(3):
+        done, found = stepped_sweep(name, 2 * np.pi * hertz, seed)
+        print(name, seed, np.round(found, 2), done.notes[0], *map(str, done.findings), sep=" | ")
+        errors += found
+    assert np.mean(np.abs(errors) < 1.96) > 0.85 and np.abs(errors).max() < 4

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import schur
-from scipy.optimize import minimize as optimise
+from scipy.optimize import minimize as optimise, nnls
 
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.frequency import frequency_response, solve_shifted, times
@@ -63,6 +63,9 @@ from ambrose.record.response_files import holds_responses, read_response
 
 _CYCLE = 2 * np.pi
 _RELATIVE, _FLOOR = 0.01, 0.05  # noise where none is stated: of the value, and of its median
+_MAINS, _HARMONICS = (50.0, 60.0), (1, 2, 3)  # [Hz], and of them and of the speed
+_BESIDE, _OUT, _MOST_LEFT = 0.06, 4.0, 0.05  # relative; of the median residual; of the lines
+_REWEIGHED, _LEAST_NOISE = 8, 1e-9  # rounds to find it, and of the mean square: no less anywhere
 # a mistake is named where the model is this far, and a correction brings it so much nearer
 _FAR, _NEARER = 0.05, 3.0
 _SAME_SCALE = 0.2  # of the logarithm of factors that are the same
@@ -223,6 +226,9 @@ def identify_responses(
     if problem.unstated:  # again, with the size of every path's own residual
         problem = problem.weighed(minimum.x)
         minimum = fitted(problem, minimum.x)
+    problem, hidden = problem.without_hum(minimum.x)
+    if hidden:
+        minimum = fitted(problem, minimum.x)
     most = bending_modes_of_mesh(machine) if bending_modes is None else modes
     count = min(modes + FURTHER_MODES, most)
     while modes < count:  # more, as long as they explain a part of what is left
@@ -258,7 +264,7 @@ def identify_responses(
         controller=controller,
         computing_delay=delay,
         bending_modes=modes,
-        notes=(*problem.notes(minimum.x, untold), *modelled_modes(modes)),
+        notes=(*problem.notes(minimum.x, untold), *hidden, *modelled_modes(modes)),
         responses=tuple(problem.beside(minimum.x, begin)),
     )
 
@@ -282,15 +288,28 @@ def response_fit(
     return ResponseFit(path.quantity, measured, after, before)
 
 
+def _noise_of(values: np.ndarray, squares: np.ndarray) -> np.ndarray:
+    """Variance (w,) of a path from its squared residuals (w,): a part of the response itself and
+    one that is the same at every line, sigma^2 = a |X|^2 + b, a and b >= 0.
+    """
+    mean = max(float(np.mean(squares)), 1e-300)
+    parts = np.column_stack([np.abs(values) ** 2, np.ones(len(values))])
+    variance = np.full(len(values), mean)
+    for _ in range(_REWEIGHED):  # a square of such a size scatters by as much
+        found, _ = nnls(parts / variance[:, None], squares / variance)
+        variance = np.maximum(parts @ found, _LEAST_NOISE * mean)
+    return variance
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """Responses beside the loop; sizes: by which the noise of every path is multiplied where none
-    was stated.
+    """Responses beside the loop; noises: the deviation (w,) of every path's values, from the
+    residuals where none was stated (none: 1 % of the values is assumed).
     """
 
     loop: Loop
     responses: tuple[Response, ...]
-    sizes: tuple[float, ...] = ()
+    noises: tuple[np.ndarray, ...] = ()
 
     @property
     def items(self) -> list[tuple[np.ndarray, Path]]:
@@ -334,8 +353,9 @@ class Problem:
         """Deviation (w,) of a path's values."""
         if path.variance is not None:
             return np.asarray(np.sqrt(path.variance))
-        size = np.hypot(np.abs(path.values), _FLOOR * self.largest(path))
-        return np.asarray((self.sizes[number] if self.sizes else _RELATIVE) * size)
+        if self.noises:
+            return self.noises[number]
+        return _RELATIVE * np.hypot(np.abs(path.values), _FLOOR * self.largest(path))
 
     def residuals(self, theta: np.ndarray) -> list[tuple[Path, np.ndarray, np.ndarray]]:
         """Every path with residual (w,) and derivatives (q, w) over the deviation of their real
@@ -365,14 +385,48 @@ class Problem:
         return max(minimum.cost / (2 * sum(len(path.values) for _, path in self.items)), 1.0)
 
     def weighed(self, theta: np.ndarray) -> Problem:
-        """With the sizes of the residuals at theta."""
+        """With the noise that the residuals at theta tell, path by path."""
         share = len(theta) / (2 * sum(len(path.values) for _, path in self.items))
-        sizes = []
+        noises = []
         for number, (path, r, _) in enumerate(self.residuals(theta)):
-            mean = float(np.mean(np.abs(r) ** 2)) / 2 / (1 - min(share, 0.5))
-            before = self.sizes[number] if self.sizes else _RELATIVE
-            sizes.append(before * np.sqrt(max(mean, 1e-20)) if path.variance is None else 1.0)
-        return replace(self, sizes=tuple(sizes))
+            # r is over the deviation of one part
+            squares = np.abs(r * self.noise(path, number)) ** 2 / 2
+            noises.append(np.sqrt(_noise_of(path.values, squares) / (1 - min(share, 0.5))))
+        return replace(self, noises=tuple(noises))
+
+    def without_hum(self, theta: np.ndarray) -> tuple[Problem, list[str]]:
+        """Without the lines beside mains or the speed that stand out alone, and which, in words."""
+        left: dict[int, np.ndarray] = {}
+        rows = iter(self.residuals(theta))
+        for k, one in enumerate(self.responses):
+            sizes = [np.abs(next(rows)[1]) for _ in one.paths]
+            out = [size > _OUT * np.median(size) for size in sizes]
+            sources = [_CYCLE * f * n for f in _MAINS for n in _HARMONICS]
+            sources += [one.point.speed * n for n in _HARMONICS if one.point.speed]
+            near = np.abs(one.omega[:, None] / np.array(sources) - 1).min(axis=1) < _BESIDE
+            left[k] = near & np.any(out, axis=0)
+        count = sum(int(lines.sum()) for lines in left.values())
+        if not count or count > _MOST_LEFT * sum(len(one.omega) for one in self.responses):
+            return self, []
+        kept = [~left[k] for k in range(len(self.responses))]
+        responses = tuple(one.at(lines) for one, lines in zip(self.responses, kept, strict=True))
+        noises = tuple(
+            noise[kept[k]]
+            for noise, k in zip(
+                self.noises, (k for k, one in enumerate(self.responses) for _ in one.paths),
+                strict=False,
+            )
+        )  # fmt: skip
+        hertz = sorted(
+            float(w) / _CYCLE
+            for one, lines in zip(self.responses, kept, strict=True)
+            for w in one.omega[~lines]
+        )
+        shown = ", ".join(f"{f:.4g}" for f in hertz[:6])
+        words = f"{count} lines left out that stand out beside mains or the speed: {shown} Hz" + (
+            " and others" if len(hertz) > 6 else ""
+        )
+        return replace(self, responses=responses, noises=noises), [words]
 
     def mistakes(self, theta: np.ndarray) -> Iterator[Finding]:
         """What the file says wrongly, told by the model at theta and by the controller: the one

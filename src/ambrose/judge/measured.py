@@ -305,15 +305,16 @@ def between(lines: Lines, extra: np.ndarray, modes: np.ndarray) -> Between:
     off = np.maximum(off - lines.reach * np.sqrt(noise), 0.0).max(axis=1)
     noise = noise.max(axis=1)
 
-    spacing = np.diff(omega)[at]
-    narrow = np.maximum(_SEEN * spacing / (_LEAST * dense), 1.0)
-    missed = off[at] * narrow[:, None, None]
-
-    # noise may hide a mode of the machine file's damping beside its frequency
+    # of the machine file's modes, its damping is assumed beside their frequencies
     damping = np.full(len(dense), np.inf)
     for pole in modes:
         near = np.abs(dense / np.abs(pole) - 1) < _NEAR
         damping[near] = np.minimum(damping[near], -pole.real / np.abs(pole))
+    spacing = np.diff(omega)[at]
+    narrow = np.maximum(_SEEN * spacing / (np.minimum(damping, _LEAST) * dense), 1.0)
+    missed = off[at] * narrow[:, None, None]
+
+    # noise may hide such a mode
     hidden = np.maximum(_SEEN * spacing / (damping * dense), 1.0)
     on_line = np.isin(dense, omega)
     missed[on_line], hidden[on_line] = 0.0, 1.0
@@ -929,10 +930,10 @@ def _checks(
             if name == "max"
             else ("sensitivity of an axis")
         )
-        k, high = int(np.argmax(row)), float((row + radius).max())
-        low = float((row - radius).max())
+        k, low = int(np.argmax(row + radius)), float((row - radius).max())
+        high = float((row + radius)[k])
         detail = (
-            f"at {omega[k] / TWO_PI:.4g} Hz; measured {row[k]:.4g}, {low:.4g} to {high:.4g}; "
+            f"at {omega[k] / TWO_PI:.4g} Hz; measured {row.max():.4g}, {low:.4g} to {high:.4g}; "
             f"model {expected.max():.4g}"
         )
         wanted = demand(rule, requirements)

@@ -124,6 +124,18 @@ class Response(Presented):
         """The paths of one quantity."""
         return tuple(path for path in self.paths if path.quantity == quantity)
 
+    def at(self, lines: np.ndarray) -> Response:
+        """The lines that a mask (w,) has."""
+        paths = tuple(
+            replace(
+                path,
+                values=path.values[lines],
+                variance=None if path.variance is None else path.variance[lines],
+            )
+            for path in self.paths
+        )
+        return replace(self, omega=self.omega[lines], paths=paths)
+
     @property
     def attributes(self) -> dict[str, Any]:
         """All but the numbers, as files have it."""

@@ -16,6 +16,9 @@ from ambrose.annexes.site.retuning import at_point
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.controller_file import write_controller
+from ambrose.judge.measured import check_measured
+from ambrose.judge.plants import full_plants
+from ambrose.law.loop import timing_of
 from ambrose.machine.description import OperatingPoint
 from ambrose.record.response_files import write_response
 from ambrose.report.page import render
@@ -220,3 +223,28 @@ def test_the_table_of_frf_is_named_and_what_to_write_instead(tmp_path, monkeypat
     FilePath("sweep.csv").write_text(f'{head}\n"zero",motion,e_A_zeta,y_A_zeta,3,1,1,1,0,0\n')
     done = CliRunner().invoke(main, line.format("sweep.csv").split())
     assert done.exit_code == 2 and "with --csv NAME.h5" in done.stderr
+
+
+def test_a_mode_between_two_lines_is_within_the_interval():
+    """Damped by 0.00035 at 245.4 Hz, lines 1.9 Hz apart: the interval ended at 6.2, 10.6 is true."""
+    known = amb.load_machine("outboard-sensor-rotor")
+    running, rate = amb.design(known, "pid").controller, 1 / known.controller.sample_time
+    matrix, file = matrices(running, rate), FILE.with_name("outboard-sensor-rotor.toml")
+    true = Truth.of(file, rate, (0.07, -0.05), modes=16)
+    fine = np.linspace(244.5, 246.5, 2001)
+    S = true.sensitivity(matrix, fine)
+    peaks = np.abs(np.einsum("wii->wi", S)).max(axis=0)
+    sigma = np.linalg.norm(S, 2, axis=(1, 2)).max()
+    assert 10 < peaks.min() < peaks.max() < 12 and sigma > 20
+    response = true.sweep(known.name, matrix, np.geomspace(5, 2500, 801), noise=0.005)
+    plant = next(plant for plant in full_plants(known) if plant.point.speed == 0)
+    judged = check_measured(plant, response, running, running, timing_of(known, running, rate))
+    for axis, value in zip(plant.axes, peaks, strict=True):
+        check = judged[f"sensitivity.output.{axis}"]
+        assert check.value > value and "at 245" in check.detail
+    assert judged["sensitivity.output.max"].value > sigma
+    done = accept(known, running, response)
+    loop = done.points[0]
+    assert all(high > value for (_, high), value in zip(loop.peaks, peaks, strict=True))
+    (spacing,) = (c for c in loop.checks.checks if c.name == "sensitivity.resolution")
+    assert spacing.passed is False and "245" in spacing.detail

@@ -510,13 +510,18 @@ def _of_response(
     )
     resonances = predicted_resonances(plant, law, min(highest, float(omega[-1])))
     seen = [item for item in resonances if omega[0] < item.frequency]
-    widest = max(
-        (float(np.interp(r.frequency, omega, np.gradient(omega))) / r.width for r in seen),
-        default=0.0,
+    widest, where = max(
+        (
+            (float(np.interp(r.frequency, omega, np.gradient(omega))) / r.width, r.frequency)
+            for r in seen
+        ),
+        default=(0.0, 0.0),
     )
     title = "Spacing of the lines over the width of a predicted resonance, at most"
     wanted = Demand(1.0, "<=", "")
-    detail = "sweep closer there" if widest > 1 else "the lines show every one"
+    detail = "the lines show every one"
+    if widest > 1:
+        detail = f"sweep closer about {where / TWO_PI:.4g} Hz: its peak may be above all lines"
     checks = (
         *_checks(loop, machine, highest, _allowed(plant, law, omega)),
         judge("sensitivity.resolution", title, widest, "-", wanted, detail),
