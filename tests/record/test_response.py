@@ -192,23 +192,42 @@ def test_what_cannot_be_meant_is_refused_in_one_sentence(tmp_path, names, column
     assert "\n" not in str(error.value) and "; " in str(error.value)
 
 
+def mapped(tmp_path, headings, columns, **keys):
+    text = table(["Freq", *headings], HERTZ, *columns, separator=";")
+    paths = [{"quantity": "G", "read": "A_zeta", **keys}]
+    said = {"machine": "toy", "point": POINT, "path": paths,
+            "frequency": {"source": "Freq", "unit": "Hz"}}  # fmt: skip
+    return read_response(written(tmp_path, text), said).paths[0].values
+
+
+def test_two_units_of_one_path_are_refused(tmp_path):
+    with pytest.raises(InvalidInput, match="two units, um/A and mm/A"):
+        mapped(tmp_path, ("Re [um/A]", "Im [mm/A]"), (S.real, S.imag), real="Re", imag="Im")
+
+
 @pytest.mark.parametrize(
-    ("headings", "keys", "words"),
+    ("headings", "columns", "keys"),
     [
-        (("Re [um/A]", "Im [mm/A]"), {"real": "Re", "imag": "Im"}, "um/A and mm/A"),
-        (("Mag [dB]", "Ph [deg]"), {"gain": "Mag", "phase": "Ph", "unit": "um/A"}, "dB and abs"),
-        (("Mag [um/A]", "Ph [rad]"), {"gain": "Mag", "phase": "Ph"}, "rad and deg"),
+        (("Mag [dB]", "Ph [deg]"), (dB(S), deg(S)), {}),
+        (("Mag [um/A]", "Ph [rad]"), (abs(S), np.angle(S)), {}),
+        # a heading may be wrong: what the map says counts
+        (("Mag [dB]", "Ph [deg]"), (dB(S), np.angle(S)), {"phase_unit": "rad"}),
+        (("Mag [dB]", "Ph [deg]"), (abs(S), deg(S)), {"gain_unit": "abs"}),
     ],
 )
-def test_units_that_a_file_and_its_map_state_differently_are_refused(
-    tmp_path, headings, keys, words
-):
-    text = table(["Freq", *headings], HERTZ, abs(S), S.imag, separator=";")
-    paths = [{"quantity": "G", "read": "A_zeta", **keys}]
-    columns = {"machine": "toy", "point": POINT, "path": paths,
-               "frequency": {"source": "Freq", "unit": "Hz"}}  # fmt: skip
-    with pytest.raises(InvalidInput, match=f"two units, {words}"):
-        read_response(written(tmp_path, text), columns)
+def test_the_heading_states_what_the_map_does_not(tmp_path, headings, columns, keys):
+    found = mapped(tmp_path, headings, columns, gain="Mag", phase="Ph", unit="um/A", **keys)
+    np.testing.assert_allclose(found, 1e-6 * S, rtol=1e-6)
+
+
+def test_noise_that_turns_an_unwrapped_phase_is_no_degrees(tmp_path):
+    """Of a path between axes; on its own axis 300 rad are degrees."""
+    phase = np.linspace(0, 300, len(HERTZ))
+    keys = {"gain": "Mag", "phase": "Ph", "phase_unit": "rad", "unit": "um/A"}
+    found = mapped(tmp_path, ("Mag", "Ph"), (abs(S), phase), injected="A_eta", **keys)
+    np.testing.assert_allclose(found, 1e-6 * abs(S) * np.exp(1j * phase), rtol=1e-6)
+    with pytest.raises(InvalidInput, match="it is in degrees"):
+        mapped(tmp_path, ("Mag", "Ph"), (abs(S), phase), **keys)
 
 
 def test_the_unit_in_a_heading_counts(tmp_path):

@@ -64,7 +64,7 @@ from ambrose.record.response_files import holds_responses, read_response
 _CYCLE = 2 * np.pi
 _RELATIVE, _FLOOR = 0.01, 0.05  # noise where none is stated: of the value, and of its median
 _MAINS, _HARMONICS = (50.0, 60.0), (1, 2, 3)  # [Hz], and of them and of the speed
-_BESIDE, _OUT, _MOST_LEFT = 0.06, 4.0, 0.05  # relative; of the median residual; of the lines
+_BESIDE, _OUT, _MOST_LEFT = 0.06, 8.0, 0.05  # relative; of its scatter; of the lines
 _REWEIGHED, _LEAST_NOISE = 8, 1e-9  # rounds to find it, and of the mean square: no less anywhere
 # a mistake is named where the model is this far, and a correction brings it so much nearer
 _FAR, _NEARER = 0.05, 3.0
@@ -85,6 +85,7 @@ _WIDE, _NEAR_MODE = (
 )  # damping of what is one, and relative distance of a mode that is near
 _BAND, _LINES = 0.25, 10  # logarithm of frequency about it, and lines within
 _SHARE, _TELLING = 0.5, 60.0  # of the residuals that it explains; of twice the log likelihood
+_ALONE = 1e-4  # damping below which a single line is explained
 _MOST_RESONANCES, _PEAKS = 3, 12
 _TOLD = 20.0  # of twice the log likelihood, by which one reading is better than another
 _REFITS = 10  # iterations of the fit with exchanged axes
@@ -399,12 +400,14 @@ class Problem:
         left: dict[int, np.ndarray] = {}
         rows = iter(self.residuals(theta))
         for k, one in enumerate(self.responses):
-            sizes = [np.abs(next(rows)[1]) for _ in one.paths]
-            out = [size > _OUT * np.median(size) for size in sizes]
+            # |r|^2 of noise is exponential, its median ln 2 of its mean; the mean over all paths
+            sizes = np.array([np.abs(next(rows)[1]) ** 2 for _ in one.paths])
+            level = np.maximum(np.median(sizes, axis=1, keepdims=True), 1e-300) / np.log(2)
+            out = (sizes / level).mean(axis=0) > 1 + _OUT / np.sqrt(len(sizes))
             sources = [_CYCLE * f * n for f in _MAINS for n in _HARMONICS]
             sources += [one.point.speed * n for n in _HARMONICS if one.point.speed]
             near = np.abs(one.omega[:, None] / np.array(sources) - 1).min(axis=1) < _BESIDE
-            left[k] = near & np.any(out, axis=0)
+            left[k] = near & out
         count = sum(int(lines.sum()) for lines in left.values())
         if not count or count > _MOST_LEFT * sum(len(one.omega) for one in self.responses):
             return self, []
@@ -700,7 +703,13 @@ def _named(problem: Problem, theta: np.ndarray, severity: str) -> Iterator[Findi
             f"in {name}; it explains {share:.0%} of what the model leaves about it"
         )
         remedy = "a casing, a free mode or a pipe: find it by a hammer test, or leave its lines out"
-        if near.size:
+        if zeta < _ALONE:
+            what = f"the line at {w / _CYCLE:.4g} Hz stands out alone, most in {name}"
+            remedy = (
+                "hum, the speed, or a resonance narrower than the lines: leave it out, or sweep "
+                "closer there"
+            )
+        elif near.size:
             mode = near[int(np.argmin(np.abs(near / w - 1)))] / _CYCLE
             remedy = (
                 f"the model's mode at {mode:.4g} Hz may be off (--unknown bending); or {remedy}"

@@ -95,7 +95,7 @@ def read_csv(path: Path) -> Record:
         except UnicodeDecodeError as error:
             raise InvalidInput(
                 "it is not a CSV file of this package (it is not in UTF-8); save it as CSV in "
-                "UTF-8, or give the column map of a foreign log (--columns)"
+                "UTF-8, or give the column map of a foreign log (ambrose convert --columns)"
             ) from error
         except ValueError as error:
             raise InvalidInput(

@@ -69,9 +69,15 @@ class PathColumns(Part):
     at: Annotated[str, Choice((SENSOR, CURRENT)), "where it was injected"] = SENSOR
     source: Annotated[Words, "column or dataset of complex numbers"] = ""
     gain: Annotated[Words, "column of the magnitude"] = ""
-    gain_unit: Annotated[str, Choice(("abs", "dB")), "of the magnitude; dB is 20 log10"] = "abs"
+    gain_unit: Annotated[
+        str,
+        Choice(("", "abs", "dB")),
+        "of the magnitude; dB is 20 log10; default: the header's, or abs",
+    ] = ""
     phase: Annotated[Words, "column of the phase, a lag negative"] = ""
-    phase_unit: Annotated[str, Choice(("deg", "rad")), "of the phase"] = "deg"
+    phase_unit: Annotated[
+        str, Choice(("", "deg", "rad")), "of the phase; default: the header's, or deg"
+    ] = ""
     real: Annotated[Words, "column of the real part"] = ""
     imag: Annotated[Words, "column of the imaginary part"] = ""
     unit: Annotated[Words, "output over input, such as um/A"] = ""
@@ -234,7 +240,7 @@ def _own_map(path: File) -> ResponseMap:
     remedy = "add lines such as '# speed_rad_s: 0' above the header, or give a column map"
     for key in ("machine", "speed_rad_s", "seal_pressure_pa"):
         if not said.get(key):
-            raise InvalidInput(f"it does not state {key}; {remedy} (--columns)")
+            raise InvalidInput(f"it does not state {key}; {remedy} (ambrose convert --columns)")
     point, rate, averages = _stated(said)
     cells = [
         re.fullmatch(r"\s*\"?([^\[\"]*?)\s*(?:\[([^\]]*)\])?\"?\s*", c) for c in head.split(",")
@@ -247,7 +253,7 @@ def _own_map(path: File) -> ResponseMap:
             raise InvalidInput(
                 f"the column {quoted(name)} does not state its quantity; write it as "
                 "'S A_zeta gain [dB]' (quantity S, T, L, G, K or motion; axis read, /axis injected;"
-                f" {', '.join(_PARTS)}), or give a column map (--columns)"
+                f" {', '.join(_PARTS)}), or give a column map (ambrose convert --columns)"
             )
         quantity, read, injected, at, part = match.groups()
         known = found.setdefault(
@@ -359,10 +365,11 @@ def _path(item: PathColumns, data: Mapping[str, Variable], omega: np.ndarray) ->
     stated = [unit for unit in units if unit not in {"", "dB", "abs", "-"}]
     if not item.unit and len(stated) > 1:
         raise _two_units(empty.name, stated)
-    for column, said in ((item.gain, item.gain_unit), (item.phase, item.phase_unit)):
-        own = data[column].unit if column else ""
-        if own in {"dB", "deg", "rad"} and own != said:
-            raise _two_units(empty.name, [own, f"{said} (the map's)"])
+    # what the map says, against a header that may be wrong; else the header
+    own = {column: data[column].unit for column in (item.gain, item.phase) if column}
+    of_gain = item.gain_unit or ("dB" if own.get(item.gain) == "dB" else "abs")
+    of_phase = item.phase_unit or ("rad" if own.get(item.phase) == "rad" else "deg")
+    item = replace(item, gain_unit=of_gain, phase_unit=of_phase)
     unit = item.unit or next(iter(stated), "")
     name, factor = empty.name, item.sign * unit_factor(item.quantity, unit)
 
@@ -413,7 +420,9 @@ def _plausible(
         )
     if item.gain_unit == "dB" and np.abs(gain).max() > 400:
         raise InvalidInput(f"the gain of {name} goes to {np.abs(gain).max():g} dB; state abs")
-    if item.phase_unit == "rad" and np.ptp(phase) > _TURNS * _CYCLE:
+    # what noise alone makes may turn often; unwrapped, it moves by half a turn at most
+    turns = np.ptp(phase) > _TURNS * _CYCLE and item.injected in {"", item.read}
+    if item.phase_unit == "rad" and turns:
         raise InvalidInput(
             f"the phase of {name} covers {np.ptp(phase):.4g} rad, so it is in degrees; state deg"
         )
@@ -461,7 +470,8 @@ def _read_hdf5(path: File) -> Response:
         own = is_checked(path) and text(file.attrs.get("format", "")) == FORMAT
         if not own or "frequency" not in file:
             raise InvalidInput(
-                f"it is not a file of responses (format {FORMAT!r}); give a column map (--columns)"
+                f"it is not a file of responses (format {FORMAT!r}); give a column map (ambrose "
+                "convert --columns)"
             )
         said = {key: text(file.attrs[key]) for key in file.attrs}
         omega = own_member(file, "frequency", "/frequency")

@@ -167,7 +167,7 @@ def refuse_separators(header: str) -> None:
     if found:
         raise InvalidInput(
             f"its columns are separated by {found[0]}, but must be by commas; export it with "
-            "commas and decimal points, or give a column map (--columns)"
+            "commas and decimal points, or give a column map (ambrose convert --columns)"
         )
 
 
