@@ -64,7 +64,8 @@ from ambrose.record.response_files import holds_responses, read_response
 _CYCLE = 2 * np.pi
 _RELATIVE, _FLOOR = 0.01, 0.05  # noise where none is stated: of the value, and of its median
 _MAINS, _HARMONICS = (50.0, 60.0), (1, 2, 3)  # [Hz], and of them and of the speed
-_BESIDE, _OUT, _MOST_LEFT = 0.06, 6.0, 0.05  # relative; of its scatter; of the lines
+_BESIDE, _OUT = 0.06, 6.0  # relative; of the scatter of noise
+_MOST_LEFT = 0.05  # of the lines
 _REWEIGHED, _LEAST_NOISE = 8, 1e-9  # rounds to find it, and of the mean square: no less anywhere
 # a mistake is named where the model is this far, and a correction brings it so much nearer
 _FAR, _NEARER = 0.05, 3.0
@@ -413,13 +414,8 @@ class Problem:
             return self, []
         kept = [~left[k] for k in range(len(self.responses))]
         responses = tuple(one.at(lines) for one, lines in zip(self.responses, kept, strict=True))
-        noises = tuple(
-            noise[kept[k]]
-            for noise, k in zip(
-                self.noises, (k for k, one in enumerate(self.responses) for _ in one.paths),
-                strict=False,
-            )
-        )  # fmt: skip
+        owner = [k for k, one in enumerate(self.responses) for _ in one.paths]
+        noises = tuple(noise[kept[k]] for noise, k in zip(self.noises, owner, strict=False))
         hertz = sorted(
             float(w) / _CYCLE
             for one, lines in zip(self.responses, kept, strict=True)

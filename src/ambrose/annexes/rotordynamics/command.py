@@ -125,7 +125,7 @@ def lateral_command(
             **asked_for(AsItRuns, asked).values(),
         )
         comparison = None if other is None else compare(result, other)
-        if responses is not None:
+        if responses is not None and law is not None and beside is not None:
             how = asked_for(AsItRuns, asked)
             timing = timing_of(
                 description, law, how.rate or responses.sample_rate_hz, how.delay_samples

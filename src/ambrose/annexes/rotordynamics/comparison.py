@@ -601,16 +601,18 @@ def beside_responses(
             "no response of an axis on itself was measured; sweep every axis and record it"
         )
     own = replace(given, paths=alone)
-    fine = np.unique(np.interp(
-        np.arange(_FINER * len(own.omega)) / _FINER, np.arange(len(own.omega)), own.omega
-    ))  # fmt: skip
-    finer = replace(own, omega=fine, paths=tuple(
+    steps = np.arange(_FINER * len(own.omega)) / _FINER
+    fine = np.unique(np.interp(steps, np.arange(len(own.omega)), own.omega))
+    between = tuple(
         replace(path, values=np.interp(fine, own.omega, path.values), variance=None)
         for path in own.paths
-    ))  # fmt: skip
+    )
+    finer = replace(own, omega=fine, paths=between)
     ours = modelled(plant, controller, own, timing)
     curves = modelled(plant, controller, finer, timing)
-    pairs, fits, items = [], [], []
+    pairs: list[Pair] = []
+    fits: list[ResponseFit] = []
+    items: list[tuple[np.ndarray, MeasuredPath, np.ndarray]] = []
     for path, values, curve in zip(own.paths, ours, curves, strict=True):
         noise = noise_beside(own.omega, path, values)
         pairs += _resonance_pairs(path, own.omega, noise, fine, np.abs(curve))
@@ -635,12 +637,10 @@ def _resonance_pairs(
         where = f"{path.name} at {omega[k] / TWO_PI:.4g} Hz"
         at = None if partner is None else found[partner]
         lone = f"no resonance of ours within {NEAR:.0%}" if at is None else ""
-        pairs += [
-            Pair(where, "frequency", float(omega[k] / TWO_PI),
-                 None if at is None else float(fine[at] / TWO_PI), "Hz", lone),
-            Pair(where, "height", float(theirs[k]), None if at is None else float(ours[at]),
-                 "/".join(filter(None, QUANTITIES[path.quantity][1:])), lone),
-        ]  # fmt: skip
+        at_hz, height = (None, None) if at is None else (float(fine[at] / TWO_PI), float(ours[at]))
+        unit = "/".join(filter(None, QUANTITIES[path.quantity][1:]))
+        pairs.append(Pair(where, "frequency", float(omega[k] / TWO_PI), at_hz, "Hz", lone))
+        pairs.append(Pair(where, "height", float(theirs[k]), height, unit, lone))
     return pairs
 
 
