@@ -12,7 +12,7 @@ from click.testing import CliRunner
 import ambrose as amb
 from ambrose.annexes.site.acceptance import accept
 from ambrose.annexes.site.pages import acceptance_page
-from ambrose.annexes.site.retuning import at_point
+from ambrose.annexes.site.retuning import Retuning, at_point
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.controller_file import write_controller
@@ -130,6 +130,7 @@ def test_a_retuning_from_responses_alone(tmp_path):
     done = amb.retune(machine(), measured, law(), tmp_path, changed=True)
     steps = {step.name: step for step in done.steps}
     assert done.outcome == "retuned" and "measured" in steps["new measured"].words, done.text
+    assert "the measured plant decides" in done.text
     fine = np.union1d(np.geomspace(4, 1600, 3000), true.hertz(packed=30))
     S = true.sensitivity(matrices(done.new.controller, RATE), fine)
     checks = at_point(done.after, "zero pressure")
@@ -137,6 +138,20 @@ def test_a_retuning_from_responses_alone(tmp_path):
     low, high = (checks.curve(f"sensitivity.output.{end}").y[1:].max(axis=1)
                  for end in ("lower end", "upper end"))  # fmt: skip
     assert ((low <= values) & (values <= high)).all()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("judged by the identified model alone: lines", "on the identified model alone"),
+        ("zero, measured: max at 50 Hz", "the measured plant decides"),
+    ],
+)
+def test_the_headline_says_on_which_plant_it_rests(words, told):
+    found = {"compared": "from 3 to 2", "new measured": words, "switched": "completed"}
+    steps = [SimpleNamespace(name=name, words=said) for name, said in found.items()]
+    said = Retuning.decided.fget(SimpleNamespace(steps=steps))
+    assert said.startswith("from 3 to 2; ") and told in said and said.endswith("; completed")
 
 
 def test_what_a_retuning_refuses_of_responses(tmp_path):

@@ -134,6 +134,8 @@ def test_a_machine_that_changed_gets_a_controller_of_the_same_structure(tmp_path
     folder = tmp_path / "change"
     done = retuned(folder, 0.75, anyway=True)
     assert done.outcome == "retuned", done.text
+    assert done.text.startswith("retuned: largest output sensitivity: ")
+    assert retuning_page(done).result.text.startswith("Retuned: largest output sensitivity: ")
 
     # the truth lies in the intervals, which are the box; the file's values do not
     for item in done.moved:

@@ -622,6 +622,10 @@ def retuning_page(done: Retuning, *, date: str = "") -> Page:
     last = done.steps[-1] if step is None and done.steps else step
     identified = done.identification
     words = done.outcome.capitalize() if last is None else f"{last.title}: {_first(last.words)}"
+    if step is None and done.steps:
+        words = (
+            f"{done.outcome.capitalize()}: {units.prose('; '.join(done.decided.split('; ')[:2]))}"
+        )
     result = Verdict("", done.passed, words)
     return Page(
         "Retuning of the magnetic bearing loop",

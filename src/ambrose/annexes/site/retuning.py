@@ -187,7 +187,23 @@ class Retuning(Presented):
         step = self.stopped_at
         if step is not None:
             return f"stopped: {step.title.lower()}: {step.words}"
-        return f"{self.outcome}: {self.steps[-1].words}"
+        return f"{self.outcome}: {self.decided}"
+
+    @property
+    def decided(self) -> str:
+        """What the outcome rests on: the sensitivities before and after, and on which plant."""
+        named = {step.name: step for step in self.steps}
+        if "compared" not in named:
+            return self.steps[-1].words
+        words, last = named["compared"].words, self.steps[-1]
+        if "new measured" in named:
+            alone = named["new measured"].words.startswith(_ALONE)
+            words += (
+                "; on the identified model alone, the responses do not decide"
+                if alone
+                else "; the measured plant decides where it was swept"
+            )
+        return words if last.name == "compared" else f"{words}; {last.words}"
 
     def facts(self) -> Mapping[str, Any]:
         return {
@@ -250,6 +266,7 @@ CODE = "code"
 _PEAK = "sensitivity.output.max"
 STATE, PAGE = "retuning.json", "retuning.html"
 UNDER_WAY = "under way"  # in the state of a chain that has not ended, or was cut off
+_ALONE = "judged by the identified model alone"  # how a step begins whose responses do not tell
 _HALF = 0.5  # s on either side of a change of controllers on the rig
 _BUMP = 0.1  # of the gap, how far the rotor may go when its controllers change; assumed
 _NARROW = 1e-4  # m, the gap where the machine file states none; assumed
@@ -562,7 +579,7 @@ def _say_measured(chain: _Chain, name: str, title: str, verification: Verificati
     if not chain.responses:
         return
     if chain.untold:
-        words = f"judged by the identified model alone: {chain.untold}"
+        words = f"{_ALONE}: {chain.untold}"
         chain.say(name, title, None, words)
         return
     found = []
