@@ -526,8 +526,8 @@ def convert(
     }
     signals = f"{', '.join(result.signals[:8])}{' ...' if len(result.signals) > 8 else ''}"
     words = (
-        f"{output}: {count / rate:.6g} s at {rate:.6g} Hz, {len(result.signals)} signals "
-        f"({signals})"
+        f"{output}: {count / rate:.6g} s at {rate:.6g} Hz, {len(result.signals)} signal"
+        f"{'s' * (len(result.signals) > 1)} ({signals})"
     )
     say_json(summary) if as_json else say(words)
 
