@@ -508,11 +508,13 @@ def test_lines_that_hum_spoils_are_left_out_and_said(stated):
         told = slopes[f"{bearing}_{way}"][int(quantity == "negative_stiffness")]
         assert abs(row.value - told) < 4 * row.standard_deviation
     assert not any("mains" in note for note in identify(clean).notes)
-    try:
-        beside = identify(with_hum(lines == 80.0))
-    except InvalidInput:
-        return  # refused, and so not silent
-    assert beside.findings and not any("mains" in note for note in beside.notes)
+    # what is no hum: beside no source, or three lines in a row
+    for at in (lines == 80.0, np.abs(np.arange(len(lines)) - np.searchsorted(lines, 101)) < 2):
+        try:
+            beside = identify(with_hum(at))
+        except InvalidInput:
+            continue  # refused, and so not silent
+        assert beside.findings and not any("mains" in note for note in beside.notes)
 
 
 def test_noise_that_nobody_stated_is_a_share_and_a_floor():

@@ -408,7 +408,9 @@ class Problem:
             sources = [_CYCLE * f * n for f in _MAINS for n in _HARMONICS]
             sources += [one.point.speed * n for n in _HARMONICS if one.point.speed]
             near = np.abs(one.omega[:, None] / np.array(sources) - 1).min(axis=1) < _BESIDE
-            left[k] = near & out
+            # three in a row are no hum: a resonance, which stays and is doubted
+            middle = out & np.roll(out, 1) & np.roll(out, -1)
+            left[k] = near & out & ~(middle | np.roll(middle, 1) | np.roll(middle, -1))
         count = sum(int(lines.sum()) for lines in left.values())
         if not count or count > _MOST_LEFT * sum(len(one.omega) for one in self.responses):
             return self, []
