@@ -110,6 +110,21 @@ def test_the_standard_judges_the_first_forward_mode_and_all_up_to_the_top_speed(
     assert own.title == fast.title == lowest.title  # so that operating points share a row
 
 
+def test_a_bending_mode_beyond_the_standards_range_is_not_its_first_forward_mode():
+    """Overdamped rigid modes: the first mode that rings lies at 24 times the running speed."""
+    overdamped, far = -400 + 300j, -100 + 23e3j
+    found = made(overdamped, far)
+    lowest = by_name(found, speed=960.0)["poles.log_decrement.lowest"]
+    assert lowest.passed is True and lowest.value == pytest.approx(2 * np.pi * 400 / 300)
+    assert "modes up to 2000 Hz, no forward one rings" in lowest.detail
+    # three times the speed reaches it; a backward one within the range is judged, as is a near one
+    assert by_name(found, speed=8e3)["poles.log_decrement.lowest"].passed is False
+    backward = made(overdamped, -1 + 3e3j, far, whirl=[0, -1, 1])
+    assert by_name(backward)["poles.log_decrement.lowest"].value == pytest.approx(2 * np.pi / 3e3)
+    near = made(overdamped, -1 + 9e3j)
+    assert by_name(near)["poles.log_decrement.lowest"].passed is False
+
+
 def test_nothing_is_left_out_of_the_least_damped():
     found = made(-50 + 100j, -30 + 200j, -1 + 900j, -2 + 3000j, -0.1 + 1e6j)
     checks = by_name(found)
