@@ -118,6 +118,8 @@ def rows_of(facts: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _mesh(errors: list[float]) -> str:
+    if not errors:
+        return "no mesh: the rotor is as measured"
     worst = max(range(len(errors)), key=errors.__getitem__)
     return f"at most {100 * errors[worst]:.2g} %, of mode {worst + 1}"
 
@@ -904,9 +906,9 @@ def _judged_modes(machine: Machine, rotor: Rotor) -> int:
 
 
 def _mesh_of_check(bending: np.ndarray, errors: np.ndarray) -> Iterator[str]:
-    """The mode that the mesh has furthest off."""
-    worst = int(errors.argmax())
-    if errors[worst] >= _COARSE:
+    """The mode that the mesh has furthest off, of a rotor that has one."""
+    worst = int(errors.argmax()) if errors.size else 0
+    if errors.size and errors[worst] >= _COARSE:
         what = f"bending mode {worst + 1} ({bending[worst] / HERTZ:.4g} Hz)"
         yield (
             f"the mesh is too coarse: {what} is {100 * errors[worst]:.2g} % above that of a finer "

@@ -26,6 +26,13 @@ from ambrose.core.statespace import balance_matrix, poles
 from ambrose.identification.data_quality.signals import point_findings
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding, refuse
 from ambrose.identification.frf_spectral import Frf
+from ambrose.identification.measured_rotor import (
+    Layout,
+    MeasuredLoop,
+    candidates,
+    places_of,
+    tried_at,
+)
 from ambrose.identification.output_error import statistics
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.output_error.loop_model import LoopModel, loop_model
@@ -44,6 +51,7 @@ from ambrose.law.law import LawLike
 from ambrose.law.loop import timing_of
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import bending_modes_of_mesh
+from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
 from ambrose.record.response import (
     QUANTITIES,
@@ -88,6 +96,12 @@ _BAND, _LINES = 0.25, 10  # logarithm of frequency about it, and lines within
 _SHARE, _TELLING = 0.5, 60.0  # of the residuals that it explains; of twice the log likelihood
 _ALONE = 1e-4  # damping below which a single line is explained
 _MOST_RESONANCES, _PEAKS = 3, 12
+_MOST_MODES = 8  # of a measured rotor, unless more are asked for
+_BANDS = 0.5, 1.0  # of the lines, by the logarithm of frequency, one after the other
+_NOISE = 1.2  # of the sum of squares over noise's, below which nothing is looked for on the way
+_LOOK = 4  # steps after which one of the places is chosen
+_CLOSE = 1e-5  # relative, of the steps with which that fit ends
+_BEGUN = 2  # of the places where a mode explains most, from which the fit is tried
 _TOLD = 20.0  # of twice the log likelihood, by which one reading is better than another
 _REFITS = 10  # iterations of the fit with exchanged axes
 _AWAY = 5.0  # of their size, by which the values may go from the start in it
@@ -121,7 +135,7 @@ def as_responses(records: Any) -> tuple[Response, ...]:
 class Loop:
     """The loop that ran, in theta (q,), and its controller K (delay within)."""
 
-    model: LoopModel
+    model: LoopModel | MeasuredLoop
     axes: tuple[str, ...]
 
     def motion(self, theta: np.ndarray, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -142,12 +156,15 @@ class Loop:
         solve_shifted(np.ascontiguousarray(T.T[::-1, ::-1]), shown, z)
         shown = np.ascontiguousarray(shown[::-1].transpose(1, 2, 0))
 
-        # Y = C (zI - A)^-1 B, dY = C (zI - A)^-1 (dA (zI - A)^-1 B + dB)
-        pushed = (
-            times(inverse @ one.A @ V, X) + (inverse @ one.B)[:, None, :] for one in directions
-        )
-        dY = np.array([shown @ one.transpose(1, 0, 2) for one in pushed])
-        return times(C, X).swapaxes(0, 1), dY
+        # Y = C (zI - A)^-1 B, dY = C (zI - A)^-1 (dA (zI - A)^-1 B + dB) + dC (zI - A)^-1 B
+        Y = times(C, X).swapaxes(0, 1)
+        dY = np.empty((len(directions), *Y.shape), dtype=complex)
+        for k, one in enumerate(directions):
+            pushed = times(inverse @ one.A @ V, X) + (inverse @ one.B)[:, None, :]
+            dY[k] = shown @ pushed.transpose(1, 0, 2)
+            if one.C.any():
+                dY[k] += times(one.C @ V, X).swapaxes(0, 1)
+        return Y, dY
 
     def controller(self, omega: np.ndarray) -> np.ndarray:
         """K (w, a, a)."""
@@ -203,6 +220,19 @@ def identify_responses(
             "or sample_time in [controller] of the machine file"
         )
     delay = timing.delay_samples if computing_delay is None else computing_delay
+    if machine.measured_rotor is not None:
+        return _without_drawing(
+            machine,
+            responses,
+            controller,
+            paths,
+            start,
+            timing.sample_time,
+            delay,
+            bending_modes,
+            max_iterations,
+            progress,
+        )
     modes = FitOptions().bending_modes if bending_modes is None else bending_modes
     plant = reduced_plant(machine, point, modes, paths, residual=True)
     values = nominal_values(plant, paths)
@@ -249,10 +279,7 @@ def identify_responses(
             count = most if count < most else modes
     progress("checking the result")
     if not problem.loop.stable(minimum.x):
-        raise InvalidInput(
-            "the loop that fits these responses best is unstable, but it ran; check the "
-            "controller's file, its rate and its delay"
-        )
+        raise InvalidInput(_UNSTABLE)
     result = _estimate(machine, problem, paths, begin, minimum)
     untold, exchange = problem.exchanged(minimum, begin, scale)
     checks = (*exchange, *diagnose_values(machine, result, ()))
@@ -269,6 +296,170 @@ def identify_responses(
         notes=(*problem.notes(minimum.x, untold), *hidden, *modelled_modes(modes)),
         responses=tuple(problem.beside(minimum.x, begin)),
     )
+
+
+def _without_drawing(
+    machine: Machine,
+    responses: Sequence[Response],
+    controller: LawLike,
+    paths: tuple[str, ...],
+    start: Mapping[str, float] | None,
+    sample_time: float,
+    delay: float,
+    bending_modes: int | None,
+    max_iterations: int,
+    progress: Callable[[str], None],
+) -> LoopIdentification:
+    """Of a measured rotor: its rigid body, and as many bending modes as the responses tell or
+    ``bending_modes``, beside the parameters at the paths. Returned: the machine with its rotor.
+    """
+    point = responses[0].point
+    body = machine.measured_rotor
+    assert body is not None
+    bearings = [
+        [axis.rpartition("_")[0] for axis in (path.read, path.injected)]
+        for one in responses
+        for path in one.paths
+    ]
+    if all(read == injected for read, injected in bearings):
+        raise InvalidInput(
+            "a measured rotor needs the responses between its bearings: those of each axis alone "
+            "do not part the magnets from the rotor's inertia; record all displacements of a sweep"
+        )
+    plant = assemble(machine, point)
+    law = deployed_controller(plant, controller, sample_time, delay)
+    signals = (tuple(f"{kind}_{axis}" for axis in plant.axes) for kind in "ey")
+    weightless = replace(machine, gravity_direction=None)  # theta has what holds at the load
+    layout = Layout(weightless, point, paths, body.places or places_of(machine))
+    model = MeasuredLoop(layout, law, *signals)
+    nominal = nominal_values(plant, paths)
+    theta = layout.begin(start_values(paths, nominal, start))
+    for mode in machine.bending_modes:
+        turns = [mode.gyroscopic] * layout.turning
+        one = np.array([mode.frequency, layout.damping_of(mode), *turns, *mode.shape])
+        layout, theta = layout.with_mode(theta, one)
+
+    measured = tuple(usable(one, plant.axes, sample_time) for one in responses)
+    low = min(float(one.omega[0]) for one in measured)
+    high = max(float(one.omega[-1]) for one in measured)
+    progress(f"identifying {len(paths)} parameters and a rigid rotor from {len(measured)} files")
+    most = _MOST_MODES if bending_modes is None else bending_modes
+    for share in _BANDS:  # the rigid body first, then mode by mode
+        top = low * (high / low) ** share * (1 + 1e-9)
+        band = tuple(one.at(one.omega <= top) for one in measured)
+        if share < 1 and min(len(one.omega) for one in band) < _FEW:
+            continue
+        layout, theta = layout.without_compliances(theta)
+        problem = Problem(Loop(replace(model, layout=layout), tuple(plant.axes)), band)
+        problem, minimum = _fitted(problem, layout, theta, max_iterations)
+        if share == _BANDS[0]:
+            told = problem.mistakes(minimum.x)
+            refuse([one for one in told if one.code == Code.MIXED_CHANNELS])
+        problem, layout, minimum = _grown(
+            problem, layout, minimum, most, bending_modes or 0, share == 1, max_iterations
+        )
+        theta = minimum.x
+        rates = np.exp([theta[layout.mode(k)][0] for k in range(layout.true_modes)]) / _CYCLE
+        shown = ", ".join(f"{rate:.4g}" for rate in rates) or "none"
+        progress(f"bending modes up to {top / _CYCLE:.4g} Hz: {shown}")
+    refuse(problem.mistakes(minimum.x))
+    if problem.unstated:
+        problem = problem.weighed(minimum.x)
+        problem, minimum = _fitted(problem, layout, minimum.x, max_iterations)
+    problem, hidden = problem.without_hum(minimum.x)
+    if hidden:
+        problem, minimum = _fitted(problem, layout, minimum.x, max_iterations)
+    progress("checking the result")
+    if not problem.loop.stable(minimum.x):
+        raise InvalidInput(_UNSTABLE)
+    found_machine = replace(layout, machine=machine).machine_of(minimum.x)
+    begun = np.concatenate([start_values(paths, nominal, start), minimum.x[len(paths) :]])
+    result = _estimate(machine, problem, layout.reported[0], begun, minimum, layout)
+    checks = tuple(diagnose_values(found_machine, result, ()))
+    refuse(checks)
+    return LoopIdentification(
+        given=found_machine,
+        machine=found_machine,
+        result=result,
+        checks=checks,
+        outputs=(),
+        controller=controller,
+        computing_delay=delay,
+        bending_modes=layout.modes,
+        notes=(
+            layout.words(minimum.x),
+            *problem.notes(minimum.x, ("the bearings, or the two planes,",)),
+            *hidden,
+        ),
+        responses=tuple(problem.beside(minimum.x, minimum.x)),
+    )
+
+
+def _fitted(
+    problem: Problem, layout: Layout, begin: np.ndarray, most: int
+) -> tuple[Problem, Minimum]:
+    """The problem of a measured rotor with this layout, and its minimum near ``begin``."""
+    model = replace(problem.loop.model, layout=layout)
+    loop = replace(problem.loop, model=model)
+    whole = replace(problem, loop=loop, prior=layout.prior(begin))
+    bare = replace(whole, loop=replace(loop, model=replace(model, slopes=False)))
+    return whole, minimise(
+        whole.linearise,
+        begin,
+        layout.scale(begin),
+        layout.allowed,
+        most,
+        tolerance=_CLOSE,
+        negligible=_CLOSE,
+        cost=bare.cost,
+    )
+
+
+def _grown(
+    problem: Problem,
+    layout: Layout,
+    minimum: Minimum,
+    most: int,
+    asked: int,
+    whole: bool,
+    steps: int,
+) -> tuple[Problem, Layout, Minimum]:
+    """With further modes, one by one, as long as each explains a part of what is left or fewer than
+    ``asked`` are there; at most ``most``. whole: on all lines; else none beyond these.
+    """
+
+    def left(model: MeasuredLoop, theta: np.ndarray) -> np.ndarray:
+        bare = replace(problem, loop=replace(problem.loop, model=replace(model, slopes=False)))
+        rest = [r for path, r, _ in bare.residuals(theta) if path.quantity != "K"]
+        return np.concatenate(rest).view(float)
+
+    while layout.true_modes < most and (whole or problem.excess(minimum) > _NOISE):
+        omegas, rest, parts = zip(
+            *(
+                (omega, r, J)
+                for (omega, path), (_, r, J) in zip(
+                    problem.items, problem.residuals(minimum.x), strict=True
+                )
+                if path.quantity != "K"
+            ),
+            strict=True,
+        )
+        slopes = np.concatenate([J.view(float) for J in parts], axis=1).T
+        model = replace(problem.loop.model, layout=layout)
+        tries = []
+        for mode in candidates(
+            model, minimum.x, left, slopes, tried_at(omegas, rest, whole), _BEGUN
+        ):
+            larger, begin = layout.with_mode(minimum.x, mode)
+            tries.append((*_fitted(problem, larger, begin, _LOOK), larger))
+        further, found, larger = min(tries, key=lambda one: one[1].cost)
+        further, found = _fitted(problem, larger, found.x, steps)
+        more = found.cost <= minimum.cost - _TOLD * further.excess(found)
+        if not more and (layout.true_modes >= asked or not whole):
+            break
+        problem, minimum = further, found
+        layout = larger
+    return problem, layout, minimum
 
 
 def response_fit(
@@ -306,12 +497,14 @@ def _noise_of(values: np.ndarray, squares: np.ndarray) -> np.ndarray:
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
     """Responses beside the loop; noises: the deviation (w,) of every path's values, from the
-    residuals where none was stated (none: 1 % of the values is assumed).
+    residuals where none was stated (none: 1 % of the values is assumed). prior: what was known
+    of theta (q,) before, and its precision (None: nothing).
     """
 
     loop: Loop
     responses: tuple[Response, ...]
     noises: tuple[np.ndarray, ...] = ()
+    prior: tuple[np.ndarray, np.ndarray] | None = None
 
     @property
     def items(self) -> list[tuple[np.ndarray, Path]]:
@@ -371,14 +564,23 @@ class Problem:
 
     def linearise(self, theta: np.ndarray) -> Linearised:
         """The sums of squares of real and imaginary parts."""
-        H, g = np.zeros((len(theta), len(theta))), np.zeros(len(theta))
-        cost = 0.0
+        known, precision = np.zeros((2, len(theta))) if self.prior is None else self.prior
+        H, g = np.diag(precision), precision * (known - theta)
+        cost = float(precision @ (known - theta) ** 2)
         for path, r, J in self.residuals(theta):
             if path.quantity != "K":
                 H += (J.conj() @ J.T).real
                 g += (J.conj() @ r).real
                 cost += float(np.vdot(r, r).real)
         return Linearised(cost, H, g)
+
+    def cost(self, theta: np.ndarray) -> float:
+        """That of ``linearise``."""
+        known, precision = np.zeros((2, len(theta))) if self.prior is None else self.prior
+        own = float(precision @ (known - theta) ** 2)
+        return own + sum(
+            float(np.vdot(r, r).real) for p, r, _ in self.residuals(theta) if p.quantity != "K"
+        )
 
     def excess(self, minimum: Minimum) -> float:
         """The residuals' variance over the noise's, at least 1: what the model lacks counts as
@@ -600,6 +802,10 @@ class Problem:
         )
 
 
+_UNSTABLE = (
+    "the loop that fits these responses best is unstable, but it ran; check the controller's file, "
+    "its rate and its delay"
+)
 _NAMES = (
     "nothing tells whether the file has exchanged axes: {} exchanged fit as well; "
     "each axis has its values by its name in the file"
@@ -721,7 +927,9 @@ def _estimate(
     paths: tuple[str, ...],
     begin: np.ndarray,
     minimum: Minimum,
+    layout: Layout | None = None,
 ) -> ParameterEstimate:
+    """layout: of theta, of which the paths are a part (None: they are theta)."""
     H = problem.linearise(minimum.x).H
     findings: list[Finding] = []
     fits: list[tuple[int, str, float]] = []
@@ -766,6 +974,13 @@ def _estimate(
         findings[:0] = _named(problem, minimum.x, worst)
     refuse(findings)
     covariance = np.linalg.inv(H) * excess
+    if layout is not None:  # what is stated of theta, and what is left for it of the information
+        chosen = np.array(layout.reported[1])
+        values, slopes = layout.stated(minimum.x[chosen])
+        begin = layout.stated(begin[chosen])[0]
+        covariance = covariance[np.ix_(chosen, chosen)] * slopes * slopes[:, None]
+        H = np.linalg.inv(covariance / excess)
+        minimum = replace(minimum, x=values)
     correlation = statistics.parameter_correlation(H)
     verdict = (
         f"{lacking} of {problem.count} responses hold what the model lacks; the first: "

@@ -364,7 +364,7 @@ class Verification(Presented):
     the machine's own top speed, in words. between: what was checked between the points' speeds, in
     words. controller: which one, with its digest. not_judged: the axes that were asked for and have
     no controller; a verification that lacks one is not passed. axes: the groups of axes judged, of
-    a machine that has several.
+    a machine that has several. rotor: where it is one as measured, at which speed alone it holds.
     """
 
     _DATA: ClassVar = (
@@ -382,6 +382,7 @@ class Verification(Presented):
         "controller",
         "not_judged",
         "axes",
+        "rotor",
     )
 
     points: tuple[Checks, ...]
@@ -397,6 +398,7 @@ class Verification(Presented):
     between: str = ""
     not_judged: tuple[str, ...] = ()
     axes: tuple[str, ...] = ()
+    rotor: str = ""
 
     def __post_init__(self) -> None:
         check_types(type(self).__post_init__, (self,), {})

@@ -59,7 +59,7 @@ from ambrose.machine.description import OperatingPoint, OperatingRange, Toleranc
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.effect import pressure_knots, speed_knots
-from ambrose.model.plant import Plant, beyond_top_speed
+from ambrose.model.plant import Plant, beyond_top_speed, holds_only
 from ambrose.model.uncertainty import default_bending_modes, not_varied, reduce, tolerances_around
 from ambrose.options import Verifying
 from ambrose.record.response import Response
@@ -431,6 +431,7 @@ def _verify_axes(
             if (words := beyond_top_speed(plant.machine, plant.point.speed))
         ),
         between=_between(law, within, checks),
+        rotor=next((holds_only(plant.machine) for plant in within), ""),
     )
 
 

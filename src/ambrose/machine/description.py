@@ -40,6 +40,7 @@ from ambrose.machine.part import (
     CoastDown,
     Disc,
     Magnet,
+    MeasuredRotor,
     Part,
     PidSettings,
     Seal,
@@ -500,6 +501,9 @@ class MachineDescription(Part):
     requirements: Annotated[Requirements, "what verification demands"] = field(
         default_factory=Requirements
     )
+    measured_rotor: Annotated[
+        MeasuredRotor | None, "the rotor by its modes, in place of shaft and discs"
+    ] = None
     coast_down: Annotated[CoastDown | None, "what slows the rotor after the trip"] = None
     weights: Annotated[DesignWeights | None, "what a robust design aims at"] = None
     description: Annotated[Words, "what it is, in a sentence"] = ""

@@ -236,7 +236,10 @@ class Machine(MachineDescription):
         document.update(
             {
                 key: stated[key]
-                for key in ("controller", "weights", "operation", "requirements", "coast_down")
+                for key in (
+                    *("controller", "weights", "operation", "requirements"),
+                    *("measured_rotor", "coast_down"),
+                )
                 if key in stated
             }
         )

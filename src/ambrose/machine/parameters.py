@@ -237,6 +237,8 @@ def bending_modes_of_mesh(machine: MachineDescription) -> int:
     """How many bending modes per plane every full model of so many elements has, see
     ``model.assemble.bending_modes_of``.
     """
+    if machine.measured_rotor is not None:
+        return len(machine.bending_modes)
     return min(2 * sum(section.elements for section in machine.shaft), LEAST_MODES)
 
 

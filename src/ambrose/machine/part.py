@@ -217,12 +217,43 @@ class BendingMode(Part):
     give, in both planes.
 
     Its shape stays that of shaft and discs. Measured hanging from a soft rope, or found by
-    identification.
+    identification. Of a measured rotor all modes are stated, with their shapes.
     """
 
     number: Annotated[int, Count(), "which one: 1 for the lowest"]
     frequency: Annotated[Rate | None, "natural frequency; default: that of shaft and discs"] = None
     damping: Annotated[Ratio | None, "damping ratio; default: modal_damping"] = None
+    shape: Annotated[
+        tuple[float, ...],
+        ListOf("plain number"),
+        "deflections at the measured rotor's places [kg^-1/2], of modal mass one",
+    ] = ()
+    gyroscopic: Annotated[
+        float, Quantity("plain number"), "share of the speed that parts its whirling twins"
+    ] = 0.0
+
+
+_SAME_SPEED = 0.01  # relative
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class MeasuredRotor(Part):
+    """The rotor by its modes, in place of shaft and discs, which then only draw it: as a rigid body
+    and by every [[bending_mode]] with its shape. It holds at the speed at which it was measured.
+    """
+
+    mass: Annotated[Mass, "mass, as weighed"]
+    diametral_inertia: Annotated[
+        Inertia | None, "about the centre of mass; default: a bar's of this mass and length"
+    ] = None
+    centre: Annotated[Length | None, "place of the centre of mass; default: the middle"] = None
+    polar_inertia: Annotated[Inertia, "about the axis"] = 0.0
+    speed: Annotated[Rate, "speed at which it was measured, and alone holds"] = 0.0
+    places: Annotated[tuple[float, ...], ListOf("length"), "where the shapes are stated"] = ()
+
+    def holds_at(self, speed: float) -> bool:
+        """Whether it tells anything at a speed [rad/s]: within a hundredth of its own."""
+        return abs(speed - self.speed) <= max(_SAME_SPEED * self.speed, 1e-9)
 
 
 @dataclass(frozen=True, slots=True)

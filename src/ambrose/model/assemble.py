@@ -19,7 +19,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.linalg import block_diag
 
-from ambrose.core.checks import InvalidInput, names_wrong_types
+from ambrose.core.checks import InvalidInput, invalid, names_wrong_types
 from ambrose.core.mechanical import SecondOrder, to_common_statespace
 from ambrose.core.statespace import StateSpace, connect, rename, static_gain
 from ambrose.machine.description import OperatingPoint
@@ -63,8 +63,8 @@ _SMALL_MESH = 40  # bending modes per plane up to which all are kept
 
 def bending_modes_of(rotor: Rotor) -> int:
     """How many true bending modes per plane the full model has; the mesh has 2 N - 2."""
-    available = 2 * rotor.n_nodes - 2
-    if available <= _SMALL_MESH:
+    available = rotor.most_bending
+    if available <= _SMALL_MESH or rotor.stated is not None:
         return available
     below = free_modes(rotor, min(available, FINE_MESH_MODES)).frequencies[4::2] <= _HIGHEST
     return min(max(int(below.sum()), LEAST_MODES), len(below))
@@ -143,7 +143,7 @@ def _with_residual(rotor: Rotor, count: int | None, forces: tuple[float, ...]) -
     """With forces at axial positions [m]. Computed once; the arrays are read-only."""
     kept = bending_modes_of(rotor) if count is None else count
     true = free_modes(rotor, kept)
-    if kept == 2 * rotor.n_nodes - 2:
+    if kept == rotor.most_bending:
         return true
     # loads: a unit force at every place, gyroscopic moments of tilting and the first bending modes
     turning = in_plane(true)[:, 1 : 2 + _TURNING].T @ rotor.plane_gyroscopic
@@ -227,7 +227,7 @@ def assemble(
         if isinstance(machine, AxialMachine):
             return wire(machine, point, wiring.rotor_statespace(machine, point))
         rotor = finite_element_rotor(machine)
-        modes = 2 * rotor.n_nodes - 2 if every_mode else None
+        modes = rotor.most_bending if every_mode else None
         return wire(machine, point, attached_statespace(machine, point, rotor, modes))
 
 
@@ -278,6 +278,13 @@ def attached_rotor(
     free bending mode that a tolerance names has ports too, bending_<k>_x and _y: the force on its
     mass-orthonormal coordinate, and the coordinate.
     """
+    if machine.measured_rotor is not None and not machine.measured_rotor.holds_at(point.speed):
+        raise invalid(
+            "the speed of a measured rotor",
+            f"{point.speed:g} rad/s",
+            f"{machine.measured_rotor.speed:g} rad/s, at which it was measured",
+            "measure there, or describe shaft and discs",
+        )
     modes = modes_of(machine, rotor, bending_modes, residual)
     places, sensed = ports(machine), sensor_ports(machine)
 

@@ -193,6 +193,14 @@ def highest_verified(machine: Machine) -> float:
     return max(SENSITIVITY_RANGE.limits[0].value, SPEED_RANGE_FACTOR * top_speed(machine))
 
 
+def holds_only(machine: Machine) -> str:
+    """Of a measured rotor the speed at which it holds, in words; "" of one with a drawing."""
+    rotor = machine.measured_rotor
+    if rotor is None:
+        return ""
+    return f"the rotor is as measured at {rotor.speed * 30 / np.pi:,.6g} rpm and holds there alone"
+
+
 def beyond_top_speed(machine: Machine, speed: float) -> str:
     """How far a speed [rad/s] is above the machine's own, in words; "" where it is not, or where
     the machine states none.

@@ -70,7 +70,7 @@ def weight_in_plane(
     """Displacement (p,) [m] at ``places`` and weight (b,) [N] on the magnets, both downwards, in
     modes of the free rotor.
     """
-    modes = free_modes(rotor, min(2 * rotor.n_nodes - 2, FINE_MESH_MODES))
+    modes = free_modes(rotor, min(rotor.most_bending, FINE_MESH_MODES))
     w = modes.frequencies[0::2]
     shapes = modes.shapes[:, 0::2]
     b = len(magnets)

@@ -207,6 +207,8 @@ def unchecked(result: Verification) -> list[str]:
         names = "; ".join(result.left_out)
         sentences.append(f"Not covered by the controller's schedule, which does not pass: {names}.")
     sentences += still(result.not_varied)
+    if result.rotor:
+        sentences.append(f"{capitalised((result.rotor,))} No other speed is judged.")
     if result.over_speed:
         sentences.append(f"Above the machine's top speed: {'; '.join(result.over_speed)}.")
     return sentences

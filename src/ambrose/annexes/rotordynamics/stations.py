@@ -138,7 +138,7 @@ def rigid_support_critical(layout: Layout) -> float:
     q = N z, N an orthonormal basis of R's null space: omega^2 = least eigenvalue of N^T K N.
     """
     rotor = finite_element_rotor(layout.machine)
-    modes = free_modes(rotor, min(2 * rotor.n_nodes - 2, FINE_MESH_MODES))
+    modes = free_modes(rotor, min(rotor.most_bending, FINE_MESH_MODES))
     w, shapes = modes.frequencies[0::2], modes.shapes[:, 0::2]
     rows = np.array([displacement_row(rotor, j.position, 0.0) for j in layout.journals])
     N = null_space(rows @ shapes)

@@ -68,14 +68,16 @@ def minimise(
     tolerance: float = 1e-9,
     floor: float = 0.0,
     negligible: float = 0.0,
+    cost: Callable[[np.ndarray], float] | None = None,
 ) -> Minimum:
     """The least of r(x)'r(x) near x (q,).
 
     scale (q,): the size of a parameter, for the stopping rule |step| <= tolerance * max(|x|,
     scale); a step whose predicted gain is below 1e-12 of the cost, or a cost below ``floor``, also
     ends it. One below ``negligible`` of the cost is taken and ends it, without a look at where it
-    leads. allowed(x): steps are shortened until true, and until ``linearise`` does not raise
-    InvalidInput (a point at which nothing can be told); at the start that is raised. Raises
+    leads. cost(x): what linearise says of it, where that alone is much cheaper. allowed(x): steps
+    are shortened until true, and until ``linearise`` does not raise InvalidInput (a point at which
+    nothing can be told); at the start that is raised. Raises
     NumericalFailure where J has a zero column.
     """
     damping = 1e-6
@@ -112,7 +114,8 @@ def minimise(
             if allowed(trial):
                 # where a trial says nothing, as at the edge of stability
                 with suppress(InvalidInput):
-                    following = linearise(trial)
+                    if cost is None or cost(trial) < state.cost:
+                        following = linearise(trial)
 
             # a trial that is not allowed, or tells nothing, counts as one that lost
             gain = (state.cost - following.cost) / predicted if following is not None else -1.0

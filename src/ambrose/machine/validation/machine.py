@@ -48,6 +48,7 @@ from ambrose.machine.validation.parts import (
     JOINT,
     amplifier as of_amplifier,
     coast_down,
+    measured_rotor,
     not_positive,
     shaft_place,
 )
@@ -624,6 +625,7 @@ def problems(machine: MachineDescription) -> tuple[str, ...]:
             _attached,
             of_machine,
             coast_down,
+            measured_rotor,
             fits,
         ),
         *(parts.bending_modes, parts.supports),

@@ -202,6 +202,50 @@ def coast_down(machine: MachineDescription) -> Iterator[str]:
     yield from not_positive("[coast_down]", machine.coast_down, remedy, "windage_speed")
 
 
+def measured_rotor(machine: MachineDescription) -> Iterator[str]:
+    """Complaints about [measured_rotor], and about shapes without it."""
+    rotor, where = machine.measured_rotor, "[measured_rotor]"
+    shaped = [mode for mode in machine.bending_modes if mode.shape or mode.gyroscopic]
+    if rotor is None:
+        for mode in shaped:
+            yield (
+                f"[[bending_mode]] {mode.number}: shape and gyroscopic are a [measured_rotor]'s; "
+                "add one, or leave them out"
+            )
+        return
+    yield from not_positive(where, rotor, "weigh the rotor", "mass")
+    yield from not_positive(where, rotor, "leave it out for a bar's", "diametral_inertia")
+    yield from not_positive(where, rotor, "leave it out where unknown", "polar_inertia", zero=True)
+    length = machine.length if machine.shaft else math.inf
+    for place in (*rotor.places, *([] if rotor.centre is None else [rotor.centre])):
+        if not 0 <= place <= length:
+            on = f"on the shaft, from 0 to {length:g} m"
+            yield complaint(where, "a place", number(place, "m"), on, "count from the left end")
+    if list(rotor.places) != sorted(set(rotor.places)):
+        yield f"{where}: places do not ascend; sort them, each once"
+    if [mode.number for mode in machine.bending_modes] != list(
+        range(1, len(machine.bending_modes) + 1)
+    ):
+        yield f"{where}: its [[bending_mode]]s are not numbered 1, 2, 3; state all that count"
+    for mode in machine.bending_modes:
+        if mode.frequency is None or len(mode.shape) != len(rotor.places) or not mode.shape:
+            yield (
+                f"[[bending_mode]] {mode.number}: a measured rotor's mode has a frequency and one "
+                f"deflection in shape for each of its {len(rotor.places)} places"
+            )
+    operation = machine.operation
+    speeds = {point.label: point.speed for point in operation.envelope}
+    if operation.speed_range[1] > 0:
+        ends = zip(("slow", "fast"), operation.speed_range, strict=True)
+        speeds |= {f"the {end} end of speed_range": speed for end, speed in ends}
+    for label, speed in speeds.items():
+        if not rotor.holds_at(speed):
+            yield (
+                f"{where}: it was measured at {rotor.speed:g} rad/s, but {label} is at {speed:g} "
+                "rad/s; measure there, or describe shaft and discs"
+            )
+
+
 # gap between shaft sections that counts as rounding, as a fraction of the rotor's length
 JOINT = 1e-9
 

@@ -15,6 +15,7 @@ from functools import lru_cache
 import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
 
 from ambrose.core.checks import check_finite, invalid, named_failure
 from ambrose.core.mechanical import undamped_modes
@@ -22,7 +23,7 @@ from ambrose.core.presentation import Presented
 from ambrose.machine.attachment import Piece, finer, mesh, node_positions, stations
 from ambrose.machine.description import MachineDescription
 from ambrose.machine.ordinary_file import FINE_MESH_MODES
-from ambrose.machine.part import Disc, ShaftSection
+from ambrose.machine.part import BendingMode, Disc, MeasuredRotor, ShaftSection
 from ambrose.model.effects.beam import BeamElement, beam_element, conical_element, shape
 
 STANDARD_GRAVITY = 9.80665  # [m/s2]
@@ -48,7 +49,9 @@ class Rotor(Presented):
     m]: the elements' stiffness against the difference and the sum of the rotations at their ends,
     as seen from their chords. corrected (2N, m), correction (m,) [1/s2]: M phi of the m bending
     modes of which the machine states a measured frequency, and by how much its square is above that
-    of shaft and discs; plane_stiffness has it, so that the modes keep their shapes.
+    of shaft and discs; plane_stiffness has it, so that the modes keep their shapes. stated: of a
+    measured rotor the frequencies (n,) [rad/s] and the mass-orthonormal shapes (2N, n) of one
+    plane, and no others.
 
     mass, gyroscopic, stiffness (4N, 4N) in [x, y, alpha, beta] per node are made anew at every
     reading: nothing but tests needs them.
@@ -62,10 +65,16 @@ class Rotor(Presented):
     bending: np.ndarray
     corrected: np.ndarray
     correction: np.ndarray
+    stated: tuple[np.ndarray, np.ndarray] | None = None
 
     @property
     def n_nodes(self) -> int:
         return len(self.positions)
+
+    @property
+    def most_bending(self) -> int:
+        """How many bending modes it has in a plane."""
+        return 2 * self.n_nodes - 2 if self.stated is None else len(self.stated[0])
 
     @property
     def mass(self) -> np.ndarray:
@@ -138,8 +147,13 @@ def finite_element_rotor(machine: MachineDescription) -> Rotor:
 
     Bending modes of which the machine states a measured frequency have it. Assembled once: machines
     of the same shaft, discs and places of parts share one rotor, whose arrays are read-only. Raises
-    InvalidInput where a measured frequency would change the order of the modes.
+    InvalidInput where a measured frequency would change the order of the modes. A measured rotor
+    has a node at every place of a part, too.
     """
+    if machine.measured_rotor is not None:
+        return _measured_rotor(
+            machine.shaft, stations(machine), machine.measured_rotor, machine.bending_modes
+        )
     rotor = _rotor(machine.shaft, machine.discs, stations(machine), machine.beam_theory)
     measured = tuple(
         (mode.number, mode.frequency)
@@ -186,6 +200,59 @@ def _with_frequencies(rotor: Rotor, measured: tuple[tuple[int, float], ...]) -> 
     return replace(rotor, plane_stiffness=stiffness, corrected=corrected, correction=correction)
 
 
+@lru_cache(maxsize=64)
+def _measured_rotor(
+    shaft: tuple[ShaftSection, ...],
+    places: tuple[float, ...],
+    body: MeasuredRotor,
+    modes: tuple[BendingMode, ...],
+) -> Rotor:
+    """The matrices that have the rigid body's and the stated modes, and nothing else.
+
+    Between the places a shape is assumed: the Legendre polynomial of its order, which has the nodes
+    of a uniform free bar's mode and none of a rigid motion, and what is left at the places as a
+    natural spline beside it, straight beyond them.
+    """
+    nodes = np.array(node_positions(mesh(shaft, (*places, *body.places))))
+    length = nodes[-1] - nodes[0]
+    centre = nodes[0] + length / 2 if body.centre is None else body.centre
+    tilting = (
+        body.mass * length**2 / 12 if body.diametral_inertia is None else body.diametral_inertia
+    )
+    translation, tilt = _rigid_motions(nodes, centre)
+    rigid = np.stack([translation / np.sqrt(body.mass), tilt / np.sqrt(tilting)], axis=1)
+    bending = np.zeros((2 * len(nodes), len(modes)))
+    for k, mode in enumerate(modes):
+        bending[0::2, k], bending[1::2, k] = _shape(nodes, body, np.array(mode.shape), k + 2)
+
+    # Phi = [rigid, bending], P Phi = 1:  M = P' P,  K = P' diag(w^2) P,  G = P' diag(J_p/J_d, g) P
+    frequencies = np.array([mode.frequency for mode in modes], dtype=float)
+    P = np.linalg.pinv(np.hstack([rigid, bending]))
+    whirl = np.array([0.0, body.polar_inertia / tilting, *(mode.gyroscopic for mode in modes)])
+    squares = np.concatenate([np.zeros(2), frequencies**2])
+    arrays = (nodes, P.T @ P, (P.T * whirl) @ P, (P.T * squares) @ P, np.zeros(len(nodes) - 1))
+    for array in (*arrays, frequencies, bending):
+        array.flags.writeable = False
+    nothing = np.zeros((len(nodes) - 1, 2, 2)), np.zeros((2 * len(nodes), 0)), np.zeros(0)
+    return Rotor(*arrays, *nothing, stated=(frequencies, bending))
+
+
+def _shape(
+    nodes: np.ndarray, body: MeasuredRotor, stated: np.ndarray, order: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Deflection and slope (N,) at the nodes [m] of a shape (p,) stated at the body's places."""
+    span = nodes[0], nodes[-1]
+    own = np.polynomial.Legendre.basis(order, domain=span) * np.sqrt((2 * order + 1) / body.mass)
+    at, slope = np.array(body.places), own.deriv()
+    own, slope = (f * (-1.0 if own(at) @ stated < 0 else 1.0) for f in (own, slope))
+    if len(at) == 1:
+        return own(nodes) + (stated - own(at)), slope(nodes)
+    rest = CubicSpline(at, stated - own(at), bc_type="natural")
+    inside = np.clip(nodes, at[0], at[-1])
+    steep = rest(inside, 1)
+    return own(nodes) + rest(inside) + steep * (nodes - inside), slope(nodes) + steep
+
+
 @lru_cache(maxsize=8)
 def _rotor(
     shaft: tuple[ShaftSection, ...],
@@ -216,9 +283,12 @@ def mesh_error(machine: MachineDescription, count: int) -> tuple[np.ndarray, np.
     much each is above that of a mesh with 4 times the elements (2 times: of more than 200), as a
     fraction.
 
-    Measured frequencies are left out of both: they hide a mesh, they do not mend it. Raises
+    Measured frequencies are left out of both: they hide a mesh, they do not mend it. A measured
+    rotor has no mesh, and no error (0,). Raises
     InvalidInput when ``count`` exceeds what the mesh has.
     """
+    if machine.measured_rotor is not None:  # without a mesh
+        return free_modes(finite_element_rotor(machine), count).frequencies[4::2], np.zeros(0)
     places, theory = stations(machine), machine.beam_theory
     factor = 4 if len(mesh(machine.shaft)) <= _SMALL_MESH else 2
     own, fine = (
@@ -399,7 +469,7 @@ def _plane_bending(rotor: Rotor, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies (count,) [rad/s] and mass-orthonormal shapes (2N, count) of the bending modes of
     one plane.
     """
-    available = 2 * rotor.n_nodes - 2
+    available = rotor.most_bending
     if not 0 < count <= available:
         raise invalid(
             "the number of bending modes",
@@ -407,6 +477,8 @@ def _plane_bending(rotor: Rotor, count: int) -> tuple[np.ndarray, np.ndarray]:
             f"between 1 and {available}",
             "refine the mesh or ask for fewer",
         )
+    if rotor.stated is not None:
+        return rotor.stated[0][:count], rotor.stated[1][:, :count]
     # once, however few are asked for
     frequencies, shapes = _lowest_bending(rotor, max(count, min(available, FINE_MESH_MODES)))
     return frequencies[:count], shapes[:, :count]
