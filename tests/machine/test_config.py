@@ -425,6 +425,10 @@ def test_small_machine_has_every_key_of_every_table():
             "seal.geometry.inlet_pressure",
             "thrust_bearing.sensor.temperature_rise",
         ),
+        # tests/model/effects/test_measured_rotor.py
+        *(f"measured_rotor.{name}" for name in ("mass", "centre", "diametral_inertia")),
+        *(f"measured_rotor.{name}" for name in ("polar_inertia", "speed", "places")),
+        *("bending_mode.shape", "bending_mode.gyroscopic"),
     }
     assert known - written == alternatives
 

@@ -368,7 +368,7 @@ def compile_controller(
     block = build_block(deployment, "controller", errors, currents)
     progress("writing the C code")
     files = tuple(
-        write_code(directory / "code", block, "double", provenance_lines(file, deployment))
+        write_code(directory / "code", block, "double", provenance_lines(file, deployment, machine))
     )
     # the rig runs code that is one sample late, no other
     if deployment.delay == 1 and has_compiler():

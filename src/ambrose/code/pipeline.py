@@ -59,6 +59,7 @@ from ambrose.machine.machine import THRUST, Machine
 from ambrose.machine.ordinary_file import check_place, claimed, write_files
 from ambrose.machine.part import Synchronous
 from ambrose.model.assemble import assemble
+from ambrose.model.plant import holds_only
 from ambrose.options import choose
 from ambrose.version import __version__
 
@@ -67,7 +68,9 @@ from ambrose.version import __version__
 
 
 def provenance_lines(
-    synthesis: Synthesis, deployment: Deployment | ScheduledDeployment
+    synthesis: Synthesis,
+    deployment: Deployment | ScheduledDeployment,
+    machine: Machine | None = None,
 ) -> Sequence[str]:
     """Origin, sampling, verification, and what speaks against the controller, one line each."""
     made = synthesis.provenance
@@ -78,6 +81,8 @@ def provenance_lines(
         f"Machine    {made.machine or 'not recorded'}, hash {made.machine_hash or 'not recorded'}.",
     ]
     lines += deployment.lines()
+    if machine is not None and (only := holds_only(machine)):
+        lines.append(f"Valid      {only}.")
     if not deployment.checks:
         lines.append("Verified   NOT: the sampled loop was not examined.")
     for box in deployment.box:
@@ -382,7 +387,7 @@ def export(
         check_processor(target, lambda: _unverified(synthesis, machine, target, limits))
     with claimed(directory, "folder"):
         deployment, block = _deploy(synthesis, machine, target, limits, progress, other is not None)
-        lines, beside = provenance_lines(synthesis, deployment), None
+        lines, beside = provenance_lines(synthesis, deployment, machine), None
         if (
             isinstance(target, C)
             and other is not None

@@ -33,8 +33,10 @@ _SMALL = 1e-2  # of the size of a deflection, at which a mode's part of the resp
 _FAR = 10.0  # times its usual size, that nothing is
 _WIDE = 0.1  # damping ratio above which nothing is a mode
 _YIELDING, _HELD = 0.5**0.5, 0.001  # damping of a compliance, and how closely its logarithms stay
+_TIMES = 1.0  # of the file's values, by which they may be off
 _DECADES = 2.0  # of the logarithm of a damping ratio
 _APART = 0.3  # of the logarithm of the ratio of deflections at a magnet and at a sensor
+_HIGHEST = 1.6  # times the highest line, above which no mode is told
 _ABOVE = 1.1, 1.4  # times the highest line: modes beyond
 _BEYOND = 3.0  # times the highest line, of what yields
 _SIZES = 0.03, 1.0  # of the deflections from which a mode's are sought
@@ -48,21 +50,23 @@ _PEAKS = 6
 class Layout:
     """What stands where in theta (q,): the paths' values, then of the rotor the centre, the
     diametral and (turning) the polar inertia, then of each mode the logarithms of frequency and
-    damping, (turning) its gyroscopic share and p numbers x of its deflections phi at p places.
+    damping, (turning) its gyroscopic pair and p numbers x of its deflections phi at p places.
 
     Where no sensor stands at a magnet, responses tell little but products of the deflections there:
     phi = x e^(+-gamma), + at sensors, - at magnets; of one magnet, of which x is +-1 times that of
-    one sensor, x stands for gamma. ties: per mode (sensor, magnet, sign), None where any does.
-    compliances: the frequencies [rad/s] of the last modes, which are none, but what all higher ones
-    yield.
+    one sensor, x stands for gamma. values (r,): of the file, at the paths. ties: per mode (sensor,
+    magnet, sign), None where any does. compliances: the frequencies [rad/s] of the last modes,
+    which are none, but what all higher ones yield. highest: the highest line [rad/s].
     """
 
     machine: Machine
     point: OperatingPoint
     paths: tuple[str, ...]
     places: tuple[float, ...]
+    values: tuple[float, ...] = ()
     ties: tuple[tuple[int, int, float] | None, ...] = ()
     compliances: tuple[float, ...] = ()
+    highest: float = np.inf
 
     @property
     def modes(self) -> int:
@@ -88,7 +92,7 @@ class Layout:
 
     def shape(self, k: int, theta: np.ndarray) -> np.ndarray:
         """The deflections (p,) of mode k."""
-        phi, tie = theta[self.mode(k)][2 + self.turning :].copy(), self.ties[k]
+        phi, tie = theta[self.mode(k)][2 + self.whirling :].copy(), self.ties[k]
         if tie is None:
             return phi
         sensor, magnet, sign = tie
@@ -101,6 +105,11 @@ class Layout:
         return self.point.speed > 0
 
     @property
+    def whirling(self) -> int:
+        """Gyroscopic numbers of a mode."""
+        return 2 * self.turning
+
+    @property
     def rigid(self) -> slice:
         first = len(self.paths)
         return slice(first, first + 2 + self.turning)
@@ -108,7 +117,7 @@ class Layout:
     @property
     def each(self) -> int:
         """Numbers of a mode."""
-        return 2 + self.turning + len(self.places)
+        return 2 + self.whirling + len(self.places)
 
     def mode(self, k: int) -> slice:
         first = self.rigid.stop + k * self.each
@@ -136,22 +145,25 @@ class Layout:
         size[self.rigid.start] = self.machine.length
         for k, tie in enumerate(self.ties):
             numbers = size[self.mode(k)]
-            numbers[2 + self.turning :] = self.unit
-            if self.turning:
-                numbers[2] = 1.0
+            numbers[2 + self.whirling :] = self.unit
+            numbers[2 : 2 + self.whirling] = 1.0
             if tie is not None:
-                numbers[2 + self.turning + tie[1]] = 1.0
+                numbers[2 + self.whirling + tie[1]] = 1.0
         return size
 
     def prior(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What is known before, (q,), and its precision: every gamma is small, a damping ratio
+        """What is known before, (q,), and its precision: the paths' values are of the size of the
+        file's, every gamma is small, a damping ratio
         within a decade or two of a steel shaft's, and a compliance stays what it is.
         """
         known, precision = np.zeros(len(theta)), np.zeros(len(theta))
+        stated = np.array(self.values)
+        known[: len(stated)] = stated
+        precision[: len(stated)] = (_TIMES * np.where(stated == 0, np.inf, stated)) ** -2
         for k, tie in enumerate(self.ties):
             first = self.mode(k).start
             if tie is not None:
-                precision[first + 2 + self.turning + tie[1]] = _APART**-2
+                precision[first + 2 + self.whirling + tie[1]] = _APART**-2
             known[first + 1], precision[first + 1] = np.log(_DAMPING), _DECADES**-2
             if k >= self.true_modes:
                 known[first : first + 2] = np.log(
@@ -164,12 +176,18 @@ class Layout:
         """Inertias are positive, the modes ascend, a bending mode rings."""
         centre, *inertias = theta[self.rigid]
         modes = [theta[self.mode(k)] for k in range(self.modes)]
-        rates = [mode[0] for mode in modes]
+        rates = [mode[0] for mode in modes[: self.true_modes]]
         return (
             0 < centre < self.machine.length
             and inertias[0] > 0
             and (not self.turning or 0 <= inertias[1] <= 2 * inertias[0])
+            and all(
+                one > 0
+                for path, one in zip(self.paths, theta, strict=False)
+                if path.startswith("amplifier.") or "force_per_current" in path
+            )
             and bool((np.diff(rates) > 0).all())
+            and max(rates, default=0.0) < np.log(_HIGHEST * self.highest)
             and all(mode[1] < np.log(_WIDE) for mode in modes[: self.true_modes])
             and all(mode[1] < 0 for mode in modes)
             and bool((np.abs(theta) <= _FAR * self.usual(len(theta))).all())
@@ -232,8 +250,9 @@ class Layout:
         for k in range(self.modes):
             frequency, damping = np.exp(theta[self.mode(k)][:2]).tolist()
             rest = theta[self.mode(k)][2:].tolist()
+            whirl = (rest[0], rest[1]) if self.turning else (0.0, 0.0)
             shape = tuple(self.shape(k, theta).tolist())
-            modes.append(BendingMode(k + 1, frequency, damping, shape, rest[0] * self.turning))
+            modes.append(BendingMode(k + 1, frequency, damping, shape, whirl))
         return replace(self.machine, measured_rotor=body, bending_modes=tuple(modes))
 
     def plant(self, theta: np.ndarray) -> Plant:
@@ -248,11 +267,11 @@ class Layout:
     def with_mode(
         self, theta: np.ndarray, mode: np.ndarray, tied: bool = True
     ) -> tuple[Layout, np.ndarray]:
-        """With one more mode (frequency, damping, gyroscopic share if turning, deflections), in the
+        """With one more mode (frequency, damping, gyroscopic pair if turning, deflections), in the
         order of frequencies; of such damping that it does not ring, a compliance. tied: so that
         responses tell its numbers apart.
         """
-        mode, phi, tie = mode.copy(), mode[2 + self.turning :], None
+        mode, phi, tie = mode.copy(), mode[2 + self.whirling :], None
         mode[:2] = np.log(mode[:2])
         if tied and not (self.sensed & self.driven).any():
             # the two that move most
@@ -266,9 +285,9 @@ class Layout:
             numbers = phi * np.exp(np.where(self.sensed, -gamma, gamma))
             numbers[sensor] = np.sqrt(size[0] * size[1]) * (np.sign(phi[sensor]) or 1.0)
             numbers[magnet] = gamma
-            mode[2 + self.turning :] = numbers
+            mode[2 + self.whirling :] = numbers
         modes = [(theta[self.mode(k)], tie) for k, tie in enumerate(self.ties)] + [(mode, tie)]
-        modes.sort(key=lambda one: float(one[0][0]))
+        modes.sort(key=lambda one: (float(one[0][1]) > np.log(_WIDE), float(one[0][0])))
         ties = tuple(tie for _, tie in modes)
         added = (float(np.exp(mode[0])),) if mode[1] > np.log(_WIDE) else ()
         larger = replace(self, ties=ties, compliances=tuple(sorted(self.compliances + added)))
@@ -298,7 +317,7 @@ class MeasuredLoop:
 
     def loop(self, theta: np.ndarray) -> tuple[StateSpace, list[SystemDerivative]]:
         """The loop from excitations to signals, and its derivative for each number of theta."""
-        own, by_A, by_B = (found := self.matrices(theta))[:3], *found[3:]
+        *own, by_A, by_B = self.matrices(theta)
         q = len(theta) if self.slopes else 0
         first, scale = len(self.layout.paths), self.layout.scale(theta)
         dA, dB, dC = (np.zeros((q, *one.shape)) for one in own)
@@ -315,7 +334,8 @@ class MeasuredLoop:
         names = self.excitations, self.signals
         model = LoopModel(theta[:q], *own, dA, dB, self.controller, *names, np.ones(q))
         try:
-            closed, directions = model.loop(theta[:q])
+            with np.errstate(over="ignore", invalid="ignore"):  # said by the failure
+                closed, directions = model.loop(theta[:q])
         except NumericalFailure as error:  # no such machine: a place of which nothing can be told
             raise InvalidInput(str(error)) from None
 

@@ -97,7 +97,14 @@ _SHARE, _TELLING = 0.5, 60.0  # of the residuals that it explains; of twice the 
 _ALONE = 1e-4  # damping below which a single line is explained
 _MOST_RESONANCES, _PEAKS = 3, 12
 _MOST_MODES = 8  # of a measured rotor, unless more are asked for
-_BANDS = 0.5, 1.0  # of the lines, by the logarithm of frequency, one after the other
+_BANDS = (
+    0.5,
+    0.6,
+    0.7,
+    0.8,
+    0.9,
+    1.0,
+)  # of the lines, by the logarithm of frequency, one after the other
 _NOISE = 1.2  # of the sum of squares over noise's, below which nothing is looked for on the way
 _LOOK = 4  # steps after which one of the places is chosen
 _CLOSE = 1e-5  # relative, of the steps with which that fit ends
@@ -169,9 +176,6 @@ class Loop:
     def controller(self, omega: np.ndarray) -> np.ndarray:
         """K (w, a, a)."""
         return frequency_response(self.model.controller, omega).values
-
-    def stable(self, theta: np.ndarray) -> bool:
-        return bool((np.abs(poles(self.model.loop(theta)[0])) < 1).all())
 
 
 def identify_responses(
@@ -278,8 +282,7 @@ def identify_responses(
         else:  # one high mode may stand, at its alias, among the lines: all at once, or no more
             count = most if count < most else modes
     progress("checking the result")
-    if not problem.loop.stable(minimum.x):
-        raise InvalidInput(_UNSTABLE)
+    problem.refuse_unstable(minimum.x)
     result = _estimate(machine, problem, paths, begin, minimum)
     untold, exchange = problem.exchanged(minimum, begin, scale)
     checks = (*exchange, *diagnose_values(machine, result, ()))
@@ -330,12 +333,14 @@ def _without_drawing(
     law = deployed_controller(plant, controller, sample_time, delay)
     signals = (tuple(f"{kind}_{axis}" for axis in plant.axes) for kind in "ey")
     weightless = replace(machine, gravity_direction=None)  # theta has what holds at the load
-    layout = Layout(weightless, point, paths, body.places or places_of(machine))
-    model = MeasuredLoop(layout, law, *signals)
     nominal = nominal_values(plant, paths)
-    theta = layout.begin(start_values(paths, nominal, start))
+    values = start_values(paths, nominal, start)
+    places = body.places or places_of(machine)
+    layout = Layout(weightless, point, paths, places, tuple(values.tolist()))
+    model = MeasuredLoop(layout, law, *signals)
+    theta = layout.begin(values)
     for mode in machine.bending_modes:
-        turns = [mode.gyroscopic] * layout.turning
+        turns = mode.gyroscopic[: layout.whirling]
         one = np.array([mode.frequency, layout.damping_of(mode), *turns, *mode.shape])
         layout, theta = layout.with_mode(theta, one)
 
@@ -350,6 +355,7 @@ def _without_drawing(
         if share < 1 and min(len(one.omega) for one in band) < _FEW:
             continue
         layout, theta = layout.without_compliances(theta)
+        layout = replace(layout, highest=top)
         problem = Problem(Loop(replace(model, layout=layout), tuple(plant.axes)), band)
         problem, minimum = _fitted(problem, layout, theta, max_iterations)
         if share == _BANDS[0]:
@@ -370,10 +376,9 @@ def _without_drawing(
     if hidden:
         problem, minimum = _fitted(problem, layout, minimum.x, max_iterations)
     progress("checking the result")
-    if not problem.loop.stable(minimum.x):
-        raise InvalidInput(_UNSTABLE)
+    problem.refuse_unstable(minimum.x)
     found_machine = replace(layout, machine=machine).machine_of(minimum.x)
-    begun = np.concatenate([start_values(paths, nominal, start), minimum.x[len(paths) :]])
+    begun = np.concatenate([values, minimum.x[len(paths) :]])
     result = _estimate(machine, problem, layout.reported[0], begun, minimum, layout)
     checks = tuple(diagnose_values(found_machine, result, ()))
     refuse(checks)
@@ -580,6 +585,23 @@ class Problem:
         own = float(precision @ (known - theta) ** 2)
         return own + sum(
             float(np.vdot(r, r).real) for p, r, _ in self.residuals(theta) if p.quantity != "K"
+        )
+
+    def refuse_unstable(self, theta: np.ndarray) -> None:
+        """Raises InvalidInput where the loop that ran is unstable at theta, and says where."""
+        found = poles(self.loop.model.loop(theta)[0]).astype(complex)
+        worst = found[int(np.argmax(np.abs(found)))]
+        if np.abs(worst) < 1:
+            return
+        rate = float(self.loop.model.controller.dt or 1.0) * _CYCLE
+        place = abs(float(np.angle(worst))) / rate
+        top = max(float(omega[-1]) for omega, _ in self.items) / _CYCLE
+        remedy = "check the controller's file, its rate and its delay"
+        if place > top:
+            remedy = f"the lines end at {top:.4g} Hz: sweep beyond it"
+        raise InvalidInput(
+            "the loop that fits these responses best is unstable, but it ran: it grows at "
+            f"{place:.4g} Hz; {remedy}"
         )
 
     def excess(self, minimum: Minimum) -> float:
@@ -802,10 +824,6 @@ class Problem:
         )
 
 
-_UNSTABLE = (
-    "the loop that fits these responses best is unstable, but it ran; check the controller's file, "
-    "its rate and its delay"
-)
 _NAMES = (
     "nothing tells whether the file has exchanged axes: {} exchanged fit as well; "
     "each axis has its values by its name in the file"

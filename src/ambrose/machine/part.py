@@ -229,8 +229,10 @@ class BendingMode(Part):
         "deflections at the measured rotor's places [kg^-1/2], of modal mass one",
     ] = ()
     gyroscopic: Annotated[
-        float, Quantity("plain number"), "share of the speed that parts its whirling twins"
-    ] = 0.0
+        tuple[float, float],
+        PairOf("plain number", "with tilting, of itself", scalar=False),
+        "[with tilting, of itself], a measured rotor's gyroscopic matrix over the speed",
+    ] = (0.0, 0.0)
 
 
 _SAME_SPEED = 0.01  # relative

@@ -53,6 +53,7 @@ from ambrose.machine.parameters import operating_point
 from ambrose.model.assemble import assemble
 from ambrose.model.effect import speed_knots
 from ambrose.model.effects.stations import JournalBearing, Stage, rated_cross_coupling
+from ambrose.model.plant import holds_only
 from ambrose.model.static_load import magnet_coefficients, running_range
 from ambrose.model.uncertainty import perturbed
 from ambrose.report.page import page_of, write
@@ -496,6 +497,11 @@ def lateral(
     speeds and where a table does not reach it.
     """
     machine.across_the_shaft("a lateral analysis is of the motion across it")
+    if only := holds_only(machine):
+        raise InvalidInput(
+            f"a lateral analysis needs the rotor at every speed, but {only}; describe shaft and "
+            "discs, or use ambrose verify"
+        )
     chosen = _point(machine, point)
     running = machine.requirements.running_speeds
     turning = (item.speed for item in (*machine.operation.envelope, chosen))

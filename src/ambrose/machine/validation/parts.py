@@ -205,7 +205,7 @@ def coast_down(machine: MachineDescription) -> Iterator[str]:
 def measured_rotor(machine: MachineDescription) -> Iterator[str]:
     """Complaints about [measured_rotor], and about shapes without it."""
     rotor, where = machine.measured_rotor, "[measured_rotor]"
-    shaped = [mode for mode in machine.bending_modes if mode.shape or mode.gyroscopic]
+    shaped = [mode for mode in machine.bending_modes if mode.shape or any(mode.gyroscopic)]
     if rotor is None:
         for mode in shaped:
             yield (

@@ -225,12 +225,17 @@ def _measured_rotor(
     for k, mode in enumerate(modes):
         bending[0::2, k], bending[1::2, k] = _shape(nodes, body, np.array(mode.shape), k + 2)
 
-    # Phi = [rigid, bending], P Phi = 1:  M = P' P,  K = P' diag(w^2) P,  G = P' diag(J_p/J_d, g) P
+    # Phi = [rigid, bending], P Phi = 1:  M = P' P,  K = P' diag(w^2) P,  G = P' W P; of W the
+    # tilting's own entry J_p/J_d, and of each mode that with tilting and its own
     frequencies = np.array([mode.frequency for mode in modes], dtype=float)
     P = np.linalg.pinv(np.hstack([rigid, bending]))
-    whirl = np.array([0.0, body.polar_inertia / tilting, *(mode.gyroscopic for mode in modes)])
+    whirl = np.zeros((2 + len(modes), 2 + len(modes)))
+    whirl[1, 1] = body.polar_inertia / tilting
+    for k, mode in enumerate(modes, 2):
+        whirl[1, k] = whirl[k, 1] = mode.gyroscopic[0]
+        whirl[k, k] = mode.gyroscopic[1]
     squares = np.concatenate([np.zeros(2), frequencies**2])
-    arrays = (nodes, P.T @ P, (P.T * whirl) @ P, (P.T * squares) @ P, np.zeros(len(nodes) - 1))
+    arrays = (nodes, P.T @ P, P.T @ whirl @ P, (P.T * squares) @ P, np.zeros(len(nodes) - 1))
     for array in (*arrays, frequencies, bending):
         array.flags.writeable = False
     nothing = np.zeros((len(nodes) - 1, 2, 2)), np.zeros((2 * len(nodes), 0)), np.zeros(0)
