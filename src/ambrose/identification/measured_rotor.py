@@ -30,7 +30,7 @@ from ambrose.model.plant import Plant
 _STEP = 1e-6  # of a parameter's size, of the differences: the model is a low polynomial in all
 _DAMPING = 0.01  # at which a mode begins
 _SMALL = 1e-2  # of the size of a deflection, at which a mode's part of the responses is linear
-_FAR = 10.0  # times its usual size, that nothing is
+_FAR = 100.0  # times its usual size, that nothing is
 _WIDE = 0.1  # damping ratio above which nothing is a mode
 _YIELDING, _HELD = 0.5**0.5, 0.001  # damping of a compliance, and how closely its logarithms stay
 _TIMES = 1.0  # of the file's values, by which they may be off
@@ -377,9 +377,10 @@ def candidates(
     slopes: np.ndarray,
     lines: np.ndarray,
     most: int,
-) -> list[np.ndarray]:
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """The modes (numbers as ``Layout.with_mode`` takes them) that explain most of what a loop at
-    theta leaves, the best first, and the compliance of higher ones.
+    theta leaves, the best first, and the compliance of higher ones; with each the step (q,) of
+    theta that goes with it.
 
     residuals(model, theta) (r,): all that is left, over its noise; slopes (r, q): its derivatives,
     which explain their part without a mode; lines (w,) [rad/s]: where one is tried.
@@ -388,14 +389,14 @@ def candidates(
     by phi = e_p and e_p + e_q: r(phi) = r - sum phi_p phi_q Q_pq.
     """
     layout, left = model.layout, residuals(model, theta)
-    known_by = np.linalg.qr(slopes)[0]
+    known_by, upper = np.linalg.qr(slopes)
     count, small = len(layout.places), _SMALL * layout.unit
     pairs = [(p, q) for p in range(count) for q in range(p, count)]
     known = np.exp([theta[layout.mode(k)][0] for k in range(layout.modes)])
     highest = lines.max()
     beyond = [_BEYOND * highest * (1 + 0.1 * len(layout.compliances))]
     beyond *= len(layout.compliances) < len(layout.machine.bearings)
-    found: list[tuple[float, np.ndarray]] = []
+    found: list[tuple[float, np.ndarray, np.ndarray]] = []
     for w, damping in [*((w, _DAMPING) for w in lines), *((w, _YIELDING) for w in beyond)]:
         if known.size and np.abs(known / w - 1).min() < _STEP:
             continue
@@ -412,14 +413,17 @@ def candidates(
         columns = np.array(
             [changes[p, q] - (changes[p, p] + changes[q, q]) * (p != q) for p, q in pairs]
         )
-        columns = columns - (columns @ known_by) @ known_by.T
-        gram, towards = columns @ columns.T, columns @ left
-        gain, phi = _best_shape(gram, towards, pairs, count, layout.unit)
+        alone = columns - (columns @ known_by) @ known_by.T
+        gain, phi = _best_shape(alone @ alone.T, alone @ left, pairs, count, layout.unit)
         mode[-count:] = phi
-        found.append((gain, mode.copy()))
+
+        # with it what is known moves by the least squares of what it leaves
+        rest = left - np.array([phi[p] * phi[q] for p, q in pairs]) @ columns
+        step = np.linalg.solve(upper, known_by.T @ rest)
+        found.append((gain, mode.copy(), step))
     ringing = sorted((one for one in found if one[1][1] < _WIDE), key=lambda one: -one[0])
     kept = [one for one in ringing[:most] if one[0] >= _WORTH * ringing[0][0]]
-    return [mode for _, mode in (*kept, *found[len(ringing) :])]
+    return [(mode, step) for _, mode, step in (*kept, *found[len(ringing) :])]
 
 
 def _best_shape(

@@ -97,15 +97,9 @@ _SHARE, _TELLING = 0.5, 60.0  # of the residuals that it explains; of twice the 
 _ALONE = 1e-4  # damping below which a single line is explained
 _MOST_RESONANCES, _PEAKS = 3, 12
 _MOST_MODES = 8  # of a measured rotor, unless more are asked for
-_BANDS = (
-    0.5,
-    0.6,
-    0.7,
-    0.8,
-    0.9,
-    1.0,
-)  # of the lines, by the logarithm of frequency, one after the other
+_BANDS = 0.5, 1.0  # of the lines, by the logarithm of frequency, one after the other
 _NOISE = 1.2  # of the sum of squares over noise's, below which nothing is looked for on the way
+_PARTS = 1.0, 0.3, 0.1, 0.0  # of a step, that are tried
 _LOOK = 4  # steps after which one of the places is chosen
 _CLOSE = 1e-5  # relative, of the steps with which that fit ends
 _BEGUN = 2  # of the places where a mode explains most, from which the fit is tried
@@ -420,6 +414,18 @@ def _fitted(
     )
 
 
+def _cost(problem: Problem, layout: Layout, theta: np.ndarray) -> float:
+    """What a measured rotor leaves there; inf where nothing is."""
+    if not layout.allowed(theta):
+        return np.inf
+    model = replace(problem.loop.model, layout=layout, slopes=False)
+    whole = replace(problem, loop=replace(problem.loop, model=model), prior=layout.prior(theta))
+    try:
+        return whole.cost(theta)
+    except InvalidInput:
+        return np.inf
+
+
 def _grown(
     problem: Problem,
     layout: Layout,
@@ -452,10 +458,10 @@ def _grown(
         slopes = np.concatenate([J.view(float) for J in parts], axis=1).T
         model = replace(problem.loop.model, layout=layout)
         tries = []
-        for mode in candidates(
-            model, minimum.x, left, slopes, tried_at(omegas, rest, whole), _BEGUN
-        ):
-            larger, begin = layout.with_mode(minimum.x, mode)
+        places = tried_at(omegas, rest, whole)
+        for mode, step in candidates(model, minimum.x, left, slopes, places, _BEGUN):
+            starts = (layout.with_mode(minimum.x + part * step, mode) for part in _PARTS)
+            larger, begin = min(starts, key=lambda one: _cost(problem, *one))
             tries.append((*_fitted(problem, larger, begin, _LOOK), larger))
         further, found, larger = min(tries, key=lambda one: one[1].cost)
         further, found = _fitted(problem, larger, found.x, steps)
