@@ -68,9 +68,11 @@ _FEW = 12  # lines at least
 _SEEN = 0.35  # half-widths per spacing from which a resonance is bounded by its neighbours
 _LEAST = 0.002  # damping that is assumed of a resonance that a line shows and no other resolves
 _NEAR = 0.2  # relative, about a mode of the machine file in which its damping is assumed
-# half-widths about a mode within which it bends a response, lines that show that at least, and the
-# part of the bend that a model may leave which has the mode
-_BEND, _BENT, _LEFT = 1.5, 4, 0.3
+# half-widths about a mode within which it bends a response, lines that show that at least
+_BEND, _BENT = 1.5, 4
+# of the bend's square what a model may leave that has the mode, of the noise's what adds to that,
+# and what the bend must be at least
+_LEFT, _NOISY, _SHOWN = 0.1, 1.2, 0.5
 _QUIET = 0.5  # of the noise's deviation: a mode whose bend is less is none
 _BETWEEN = 6  # steps between two lines
 _COVERAGE = 0.05  # what all lines together may miss by chance
@@ -372,8 +374,13 @@ def _hiding(lines: Lines, modelled: Modelled, modes: np.ndarray) -> np.ndarray:
         here = slice(*np.searchsorted(omega, (near[0], near[-1])))
         seen = 0 < first and last < len(omega) and here.stop - here.start >= _BENT
         if seen and half >= _SEEN * spacing[first - 1 : last].max():
-            left = _bend(omega[here], lines.X[here] - known[here])
-            if np.linalg.norm(left) <= _LEFT * np.linalg.norm(_bend(omega[here], known[here])):
+            left, bend = (
+                float(np.sum(np.abs(_bend(omega[here], X)) ** 2))
+                for X in (lines.X[here] - known[here], known[here])
+            )
+            count = here.stop - here.start
+            scatter_left = float(lines.variance[here].sum()) * (1 - 2 / count)
+            if bend >= _SHOWN * scatter_left and left <= _LEFT * bend + _NOISY * scatter_left:
                 continue
         found.append(pole)
     return np.array(found, complex)
