@@ -396,7 +396,13 @@ def _verify_axes(
     boxes: tuple[Checks, ...] = ()
     if asked.tolerances:
         boxes = verify_tolerances(
-            modelled, law, checks, progress, timing, everywhere=asked.everywhere
+            modelled,
+            law,
+            checks,
+            progress,
+            timing,
+            everywhere=asked.everywhere,
+            weights=asked.weights,
         )
     checks = (*by_lines, *checks)
     ranges: tuple[Checks, ...] = ()
@@ -581,6 +587,7 @@ def verify_tolerances(
     *,
     design: LawLike | None = None,
     everywhere: bool = False,
+    weights: bool = True,
 ) -> tuple[Checks, ...]:
     """The checks over the tolerances around every plant with a stable loop (``points``) and any
     tolerance.
@@ -612,6 +619,7 @@ def verify_tolerances(
                     varied,
                     detailed=everywhere or not boxes,
                     late=timing is not None,
+                    weighted=weights,
                 )
             )
             if tolerances is not None and (every := tolerances_around(plant)):
@@ -628,15 +636,22 @@ def verify_tolerances(
 
 
 def _continuous_box(
-    plant: Plant, law: StateSpace, varied: tuple[Tolerance, ...], *, detailed: bool, late: bool
+    plant: Plant,
+    law: StateSpace,
+    varied: tuple[Tolerance, ...],
+    *,
+    detailed: bool,
+    late: bool,
+    weighted: bool,
 ) -> Checks:
     """The robust checks of a continuous law, which with ``late`` holds the loop's mean delay;
-    ``detailed``: all of them.
+    ``detailed``: all of them, and ``weighted`` that to the machine's weights, too.
     """
     if not detailed:
         box = robust.examine(plant, law, varied)
     else:
-        weights = machine_weights(plant.machine) if plant.machine.weights is not None else None
+        stated = weighted and plant.machine.weights is not None
+        weights = machine_weights(plant.machine) if stated else None
         box = robust.check(plant, law, varied, weights)
     if not late:
         return box

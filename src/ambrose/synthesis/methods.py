@@ -600,7 +600,8 @@ def as_measured(
     try:
         checks = check_measured(plant, response, result.controller, running, timing)
     except InvalidInput as error:  # they told the loop that ran, and not this one
-        margins["unmet_checks"] = margins.get("unmet_checks", 0.0) + 1
+        for count in ("unmet_checks", "undecided_checks"):
+            margins[count] = margins.get(count, 0.0) + 1
         notes.append(f"{plant.point.label}{MEASURED}: {error}")
         certificate = replace(result.certificate, margins=margins)
         return replace(result, certificate=certificate, notes=tuple(notes))
