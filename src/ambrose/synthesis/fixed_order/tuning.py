@@ -481,10 +481,11 @@ def _grid(job: Job, cost: Objective, x: np.ndarray, per_decade: int) -> np.ndarr
     at, half = unwarped(poles.imag, job.timing), np.abs(poles.real)
     light = half < 0.06 * at
     more = np.concatenate([at, (at + half)[light], (at - half)[light], np.array(job.extra)])
+    lowest = min([_LOWEST, *job.extra])
 
     # a quarter of it is the radius: an eighth of a resonance's bandwidth, _SAME of a known peak
     apart = np.concatenate([half, half[light], half[light], 4 * _SAME * np.array(job.extra)])
-    inside = (more >= _LOWEST) & (more <= top)
+    inside = (more >= lowest) & (more <= top)
     points = np.concatenate([grid, more[inside]])
     radius = _APART * points  # of a light resonance less, or its peak would fall between two points
     radius[len(grid) :] = np.minimum(radius[len(grid) :], 0.25 * apart[inside])
@@ -546,7 +547,17 @@ def _descended(job: Job, law: Law, power: int) -> tuple[Law, int]:
     dense = Objective(structure, job.models, _grid(job, cost, x, _JUDGED), job.aims)
     job.extra += dense.omega[_peaks(dense, x)].tolist()
     job.extra += _unseen(dense.ratios(x), cost.ratios(x))
+    job.extra += _below(job.aims, dense.poles(x))
     return law, used
+
+
+def _below(aims: Aims, poles: np.ndarray) -> list[float]:
+    """Where the sensitivity shows that a loop's pole has no integral action behind it: below the
+    grid, where its limit is least. A turbomolecular-pump's gain met the limit on the grid, its
+    integrators ended in a pole at -2e-6 rad/s, which the next search could not move.
+    """
+    corner = aims.bandwidth * aims.stiff
+    return [0.1 * corner, corner] if (np.abs(poles) < corner).any() else []
 
 
 def _unseen(judged: Mapping[str, Ratio], tuned_on: Mapping[str, Ratio]) -> list[float]:
