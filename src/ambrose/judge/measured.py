@@ -64,6 +64,7 @@ from ambrose.record.response import (
 from ambrose.record.response_files import read_response
 
 MEASURED = ", measured"  # after the label of an operating point
+UNDECIDED = "not decided"  # in the detail of a check whose interval holds the limit
 _FEW = 12  # lines at least
 _SEEN = 0.35  # half-widths per spacing from which a resonance is bounded by its neighbours
 _LEAST = 0.002  # damping that is assumed of a resonance that a line shows and no other resolves
@@ -183,8 +184,8 @@ def sensitivity_of(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Output sensitivity S (w, a, a) of the loop with the law that ran, the deviation (w, a + 1) of
     its diagonal and of its largest singular value, and the largest (w - 1, a + 1) that both may be
-    between two lines; NaN where it was not measured. modes: as for ``between``; plant: G (w, a, a) of their model. Raises InvalidInput
-    where an axis was not measured.
+    between two lines; NaN where it was not measured. modes: as for ``between``; plant: G (w, a, a)
+    of their model. Raises InvalidInput where an axis was not measured.
     """
     n, a = len(response.omega), len(axes)
     if n < _FEW:
@@ -300,8 +301,8 @@ def between(
     complex poles of the machine file's loop, whose damping is assumed of what noise may hide.
 
     modelled: the same response (w, a, a) by the model of these modes at omega (w,). The cubic goes
-    through what the lines are off it, except near the modes that lines may hide (``_hiding``), which
-    the model may have at another frequency.
+    through what the lines are off it, except near the modes that lines may hide (``_hiding``),
+    which the model may have at another frequency.
     """
     omega, n = lines.omega, len(lines.omega)
     steps = np.arange(_BETWEEN) / _BETWEEN
@@ -1024,7 +1025,7 @@ def _checks(
         )
         wanted = demand(rule, requirements)
         if wanted.limit is not None and low < wanted.limit <= high:
-            detail += "; not decided: measure longer there"
+            detail += f"; {UNDECIDED}: measure longer there"
         what = ALL_AXES if name == "max" else name
         title = f"Peak output sensitivity, {what}, upper end as measured"
         checks.append(judge(f"sensitivity.output.{name}", title, high, "-", wanted, detail))

@@ -593,7 +593,7 @@ def as_measured(
     there, or is not told, counts as missed, with a note each; unstable there is unstable.
     """
     from ambrose.core.checks import InvalidInput
-    from ambrose.judge.measured import MEASURED, check_measured
+    from ambrose.judge.measured import MEASURED, UNDECIDED, check_measured
     from ambrose.judge.result import Status
 
     margins, notes = dict(result.certificate.margins), list(result.notes)
@@ -614,6 +614,8 @@ def as_measured(
     failed = list(checks.failed)
     if failed:
         margins["unmet_checks"] = margins.get("unmet_checks", 0.0) + len(failed)
+        untold = sum(UNDECIDED in check.detail for check in failed)
+        margins["undecided_checks"] = margins.get("undecided_checks", 0.0) + untold
     for check in failed:
         limit = "" if check.limit is None else f", not {check.relation} {check.limit:.4g}"
         notes.append(f"{checks.label}: {check.title} {check.value:.4g}{limit}; {check.detail}")

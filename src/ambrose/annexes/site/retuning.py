@@ -555,7 +555,7 @@ def _verified(chain: _Chain, law: Synthesis, *, tolerances: bool = True) -> Veri
             axes=done.machine.group,
             tolerances=tolerances,
             everywhere=True,
-            weights=False,
+            informed=False,
             rate=timing.rate,
             delay_samples=timing.delay_samples,
             progress=chain.progress,
@@ -843,7 +843,11 @@ def _switched(chain: _Chain, new: Synthesis, machine: Machine) -> None:
     for forward in (True, False):
         first, second = (chain.running, new) if forward else (new, chain.running)
         chain.progress("changing the controller on the virtual rig" if forward else "and back")
-        runs.append(_switch(chain, machine, point, first, second, forward))
+        try:
+            runs.append(_switch(chain, machine, point, first, second, forward))
+        except AmbroseError as error:
+            chain.say("switched", title, False, str(error))
+            return
     chain.made["switches"] = tuple(runs)
     words = "; ".join(_switch_in_words(run) for run in runs)
     chain.say("switched", title, all(run.passed for run in runs), words)
