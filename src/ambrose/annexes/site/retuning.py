@@ -782,6 +782,8 @@ def _beside(before: Verification, after: Verification) -> str:
     for old in before.points:
         own = at_point(after, old.label)
         was = f"{old[_PEAK].value:.3g}" if old.stable else "unstable"
+        if old.label != own.label:  # measured, and the responses do not tell the new one
+            was += f" ({old.label.rpartition(', ')[2]})"
         rows.append(f"{own.label} {was} to {own[_PEAK].value:.3g}")
     return f"largest output sensitivity: {', '.join(rows)}"
 
