@@ -591,7 +591,9 @@ def _say_measured(chain: _Chain, name: str, title: str, verification: Verificati
             found.append(f"{checks.label}: unstable; {checks['stability.measured'].detail}")
             continue
         worst = max(rows, key=lambda check: check.value)
-        found.append(f"{checks.label}: {worst.name.rpartition('.')[2]} {worst.detail}")
+        limit = "" if worst.limit is None else f", limit {worst.limit:g}"
+        name = worst.name.rpartition(".")[2]
+        found.append(f"{checks.label}: at most {worst.value:.3g} ({name}{limit}), {worst.detail}")
         found.append(checks.notes[0].rstrip("."))
     chain.say(name, title, None, "; ".join(found))
 

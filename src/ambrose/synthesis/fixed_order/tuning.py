@@ -516,8 +516,10 @@ def _peaks(cost: Objective, x: np.ndarray) -> np.ndarray:
 
 
 def _descended(job: Job, law: Law, power: int) -> tuple[Law, int]:
-    """One descent; true peaks of a denser grid are kept for the next."""
-    law = _with_room(job, law)
+    """One descent; true peaks of a denser grid are kept for the next. Where it ends in a pole that
+    no frequency shows (``_below``) it is made again, once, with those that do.
+    """
+    begin = law = _with_room(job, law)
     fastest = _limit(job, law)
     structure, x = _unknowns(job, law)
     rough = Objective(structure, job.models, np.array([100.0]), job.aims)
@@ -545,9 +547,11 @@ def _descended(job: Job, law: Law, power: int) -> tuple[Law, int]:
         law, (structure, x) = settled, _unknowns(job, settled)
         cost = Objective(structure, job.models, cost.omega, job.aims, job.reference)
     dense = Objective(structure, job.models, _grid(job, cost, x, _JUDGED), job.aims)
+    if (low := _below(job.aims, dense.poles(x))) and low[0] not in job.extra:
+        job.extra += low
+        return _descended(job, begin, power)
     job.extra += dense.omega[_peaks(dense, x)].tolist()
     job.extra += _unseen(dense.ratios(x), cost.ratios(x))
-    job.extra += _below(job.aims, dense.poles(x))
     return law, used
 
 
