@@ -314,3 +314,35 @@ def test_a_mode_between_two_lines_is_within_the_interval():
     assert all(high > value for (_, high), value in zip(loop.peaks, peaks, strict=True))
     (spacing,) = (c for c in loop.checks.checks if c.name == "sensitivity.resolution")
     assert spacing.passed is False and "245" in spacing.detail
+
+
+@pytest.mark.parametrize(("mode", "packed"), [(0.0, True), (0.0, False), (-0.01, True)])
+def test_what_the_model_has_narrows_the_interval_and_what_it_has_elsewhere_does_not(mode, packed):
+    """Ten lines per octave about a rigid mode: 3.8 to 28 was told where 3.8 is true. The lines are
+    packed about the modes of the file, also where the rotor's are elsewhere.
+    """
+    known, K = machine(), ran(machine(), 1.0, 0.7, 1.0, None, RATE)
+    law, filed = matrices(K, RATE), Truth.of(FILE, RATE, modes=16)
+    true = Truth.of(FILE, RATE, (0.03, -0.03), mode=mode, modes=16)
+    hertz = filed.recommended(law, 3.0, 2000.0) if packed else np.geomspace(3, 2000, 120)
+    plant = next(p for p in full_plants(known) if not p.point.speed and not p.point.seal_pressure)
+    response = true.sweep(MACHINE, law, hertz, noise=0.005)
+    checks = check_measured(plant, response, K, K, timing_of(known, K, RATE))
+    ends = (checks.curve(f"sensitivity.output.{end}") for end in ("lower end", "upper end"))
+    low, high = (end.y.max(axis=1) for end in ends)
+    near = np.outer(np.abs(true.light_poles(law)), 1 + np.linspace(-0.01, 0.01, 201)).ravel()
+    fine = np.union1d(np.geomspace(3, 2000, 4000), near[near < 4000 * np.pi] / (2 * np.pi))
+    S = true.sensitivity(law, fine[fine >= 3])
+    values = [np.linalg.norm(S, 2, axis=(1, 2)).max(), *np.abs(np.einsum("wii->wi", S)).max(axis=0)]
+    assert (low <= values).all() and (values <= high).all()
+    assert (high < 1.06 * low).all() == (packed and not mode)
+
+
+def test_a_sweep_past_the_bending_modes_is_named_before_it_is_used():
+    known, law = machine(), matrices(ran(machine(), 1.0, 0.7, 1.0, None, RATE), RATE)
+    true = Truth.of(FILE, RATE)
+    good = true.sweep(MACHINE, law, true.recommended(law, 3.0, 2000.0))
+    wide = true.sweep(MACHINE, law, np.geomspace(3, 2000, 100))
+    assert not amb.check_record(good, known).findings
+    (finding,) = amb.check_record(wide, known).findings
+    assert "551 Hz" in str(finding) and "1340 Hz" in str(finding)
