@@ -73,7 +73,8 @@ _NEAR = 0.2  # relative, about a mode of the machine file in which its damping i
 _BEND, _BENT = 1.5, 4
 # of the bend's square what a model may leave that has the mode, of the noise's what adds to that,
 # and what the bend must be at least
-_LEFT, _NOISY, _SHOWN = 0.1, 1.2, 0.5
+_LEFT, _NOISY = 0.1, 1.2
+_SHOWN = 0.5
 _QUIET = 0.5  # of the noise's deviation: a mode whose bend is less is none
 _BETWEEN = 6  # steps between two lines
 _COVERAGE = 0.05  # what all lines together may miss by chance
