@@ -61,6 +61,22 @@ class Truth:
         found = np.concatenate(found)
         return np.unique(found[(found >= low) & (found <= high)].round(3))
 
+    def recommended(self, law, low, high):
+        """The lines of docs/how-to/responses.md: ten per octave, from the first bending mode on
+        twenty, and five within the half-power width of every lightly damped pole of the loop.
+        """
+        s = self.light_poles(law)
+        s = s[(s.imag > 2 * np.pi * low) & (s.imag < 2 * np.pi * high) & (-s.real < 0.05 * s.imag)]
+        first = s.imag[-s.real < 0.02 * s.imag].min() / (2 * np.pi)
+        found = [
+            np.geomspace(*ends, int(lines * np.log2(ends[1] / ends[0])))
+            for ends, lines in (((low, first), 10), ((first, high), 20))
+        ]
+        found += [(p.imag + p.real * np.linspace(-1, 1, 5)) / (2 * np.pi) for p in s]
+        found = np.sort(np.concatenate(found))
+        apart = np.append(True, np.diff(found) > 1e-4 * found[1:])  # twins share their lines
+        return found[apart & (found >= low) & (found <= high)]
+
     def poles(self, law):
         """Of the running loop, with its sample of delay, in z."""
         Ad, Bd, Cy = self.held

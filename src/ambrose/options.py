@@ -322,11 +322,13 @@ class Verifying(AsItRuns):
 
     axial: the controller of the thrust axis, where the other does not hold it. axes: the one group
     of axes that is judged (None: all). tolerances: the tolerance boxes, too; everywhere: bounds and
-    proofs over them around every operating point, not the first alone. How fast the machine may
-    move between its points: pressure_rate [Pa/s], the fastest change of the seal pressure (None:
-    the machine file's; without one nothing is proved for a pressure that changes); pressure_error
-    [Pa], how far off what a controller scheduled over the pressure is told may be; speed_rate
-    [rad/s^2], the fastest run-up (None: nothing is proved for a speed that changes).
+    proofs over them around every operating point, not the first alone; informed: what no
+    requirement limits over them, too: mu to the machine's [weights], by how much they might grow
+    with stability proved, the input's sensitivity. How fast the machine may move between its
+    points: pressure_rate [Pa/s], the fastest change of the seal pressure (None: the machine file's;
+    without one nothing is proved for a pressure that changes); pressure_error [Pa], how far off
+    what a controller scheduled over the pressure is told may be; speed_rate [rad/s^2], the fastest
+    run-up (None: nothing is proved for a speed that changes).
     """
 
     axial: LawLike | None = option(None, _AXIAL)
@@ -336,6 +338,7 @@ class Verifying(AsItRuns):
         False,
         "Bounds and proofs over the tolerances around every operating point, not the first alone.",
     )
+    informed: bool = option(True, "Over the tolerances what no requirement limits.", flag=None)
     pressure_rate: float | None = option(
         None,
         'Fastest change of the seal pressure, such as "20 bar/s", for a proof while it changes; '

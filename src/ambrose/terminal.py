@@ -539,6 +539,8 @@ class Screen:
         rows = sum(part.left for part, _ in shown if isinstance(part, _Table))
         counted = [f"{rows} more rows"] * (rows > 0)
         counted += [f'{number} more of "{kind}"' for kind, number in unsaid.items()]
+        if not counted:  # one row of each table is left, and that is everything
+            return _joined([("", head), *shown], broken)
         rest = f"Not shown: {', '.join(counted)}. --details prints everything."
         return _joined([("", head), *shown, ("", _wrapped(rest, width)[:1])], broken)
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_path
 from ambrose.core.presentation import Presented
+from ambrose.core.statespace import poles
 from ambrose.identification.data_quality.diagnosis import machine_findings
 from ambrose.identification.data_quality.signals import (
     flat_tops,
@@ -27,11 +28,14 @@ from ambrose.identification.one_axis.identify import coarse_steps, dead_channels
 from ambrose.machine.criteria import TWO_PI
 from ambrose.machine.machine import Machine, point_in_words
 from ambrose.machine.units import BULLET
+from ambrose.model.assemble import assemble
 from ambrose.record.files import read_record
 from ambrose.record.record import Record
 from ambrose.record.response import QUANTITIES, Response
 from ambrose.record.response_files import holds_responses, read_response
 
+# damping ratio of a mode that needs lines of its own, and how far from the file's it may stand
+_LIGHT, _NEAR_MODE = 0.03, 0.03
 _SHORT = 0.5  # s, below it a record holds few periods of a rigid mode; assumed
 _MEASURED = ("y", "u", "i")
 # what it can be used for: command, kinds of signal at every axis, at one at least, what is better
@@ -175,7 +179,36 @@ def _check_responses(source: Any, machine: Machine | None) -> RecordCheck:
         ),
         Use("the responses themselves", "frf", False, "it makes them, of records in time"),
     )
-    return RecordCheck(name, contents, tuple(point_findings(machine, response)), uses)
+    findings = list(point_findings(machine, response))
+    if machine is not None and good and not findings:
+        findings += _far_apart(machine, response)
+    return RecordCheck(name, contents, tuple(findings), uses)
+
+
+def _far_apart(machine: Machine, response: Response) -> Iterator[Finding]:
+    """The bending modes of the machine file that no lines resolve: none lie within a half-power
+    width of each other near one.
+    """
+    s, omega = poles(assemble(machine, response.point).system), response.omega
+    light = s[(s.imag > omega[0]) & (s.imag < omega[-1]) & (-s.real < _LIGHT * s.imag)]
+    middle, spacing = np.sqrt(omega[1:] * omega[:-1]), np.diff(omega)
+    far: dict[float, str] = {}
+    for pole in light[np.argsort(light.imag)]:
+        near = np.abs(middle / pole.imag - 1) < _NEAR_MODE
+        near[np.clip(np.searchsorted(omega, pole.imag) - 1, 0, len(near) - 1)] = True
+        least, width = spacing[near].min() / TWO_PI, -2 * pole.real / TWO_PI
+        if least > width:
+            where = float(f"{pole.imag / TWO_PI:.3g}")  # both planes of a mode are one
+            far.setdefault(where, f"{where:.4g} Hz ({least:.2g} Hz, and {width:.2g} Hz wide)")
+    if far:
+        yield Finding(
+            Code.UNCERTAIN_LINES,
+            WARNING,
+            "lines are farther apart than a bending mode of the machine file is wide",
+            ", ".join(far.values()),
+            "sweep five lines within the half-power width of each, as measured; one that the "
+            "controller damps needs none",
+        )
 
 
 def _check_table(

@@ -64,10 +64,18 @@ from ambrose.record.response import (
 from ambrose.record.response_files import read_response
 
 MEASURED = ", measured"  # after the label of an operating point
+UNDECIDED = "not decided"  # in the detail of a check whose interval holds the limit
 _FEW = 12  # lines at least
 _SEEN = 0.35  # half-widths per spacing from which a resonance is bounded by its neighbours
 _LEAST = 0.002  # damping that is assumed of a resonance that a line shows and no other resolves
 _NEAR = 0.2  # relative, about a mode of the machine file in which its damping is assumed
+# half-widths about a mode within which it bends a response, lines that show that at least
+_BEND, _BENT = 1.5, 4
+# of the bend's square what a model may leave that has the mode, of the noise's what adds to that,
+# and what the bend must be at least
+_LEFT, _NOISY = 0.1, 1.2
+_SHOWN = 0.5
+_QUIET = 0.5  # of the noise's deviation: a mode whose bend is less is none
 _BETWEEN = 6  # steps between two lines
 _COVERAGE = 0.05  # what all lines together may miss by chance
 _LOUD = 2.0  # scatter over the stated variance from which the scatter counts
@@ -169,12 +177,16 @@ def apart(K: np.ndarray, axis: int) -> bool:
 
 
 def sensitivity_of(
-    response: Response, axes: Sequence[str], law: StateSpace, modes: np.ndarray
+    response: Response,
+    axes: Sequence[str],
+    law: StateSpace,
+    modes: np.ndarray,
+    plant: Modelled,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Output sensitivity S (w, a, a) of the loop with the law that ran, the deviation (w, a + 1) of
     its diagonal and of its largest singular value, and the largest (w - 1, a + 1) that both may be
-    between two lines; NaN where it was not measured. modes: as for ``between``. Raises InvalidInput
-    where an axis was not measured.
+    between two lines; NaN where it was not measured. modes: as for ``between``; plant: G (w, a, a)
+    of their model. Raises InvalidInput where an axis was not measured.
     """
     n, a = len(response.omega), len(axes)
     if n < _FEW:
@@ -191,7 +203,7 @@ def sensitivity_of(
     rise = np.full((n - 1, a + 1), np.nan)
     dense = np.zeros((0, a, a))
     for places, lines in blocks.items():
-        points = between(lines, _poles_of(law), modes)
+        points = between(lines, _poles_of(law), modes, _as_modelled(lines, places, plant, law))
         part = np.ix_(range(len(points.omega)), places, places)
         if not len(dense):  # the same for every block
             dense = frequency_response(law, points.omega).values
@@ -280,9 +292,18 @@ class Between:
     spacing: np.ndarray
 
 
-def between(lines: Lines, extra: np.ndarray, modes: np.ndarray) -> Between:
+Modelled = Callable[[np.ndarray], np.ndarray]
+
+
+def between(
+    lines: Lines, extra: np.ndarray, modes: np.ndarray, modelled: Modelled | None = None
+) -> Between:
     """The lines and steps between; extra (p,): poles about which steps are packed; modes (m,):
     complex poles of the machine file's loop, whose damping is assumed of what noise may hide.
+
+    modelled: the same response (w, a, a) by the model of these modes at omega (w,). The cubic goes
+    through what the lines are off it, except near the modes that lines may hide (``_hiding``),
+    which the model may have at another frequency.
     """
     omega, n = lines.omega, len(lines.omega)
     steps = np.arange(_BETWEEN) / _BETWEEN
@@ -293,34 +314,85 @@ def between(lines: Lines, extra: np.ndarray, modes: np.ndarray) -> Between:
     # the cubic: its value, and the variance that it has of the lines'
     at = np.clip(np.searchsorted(omega, dense * (1 + 1e-12), side="right") - 1, 0, n - 2)
     nodes = np.clip(at - 1, 0, n - 4)[:, None] + np.arange(4)
-    x = np.log(omega)
+    x, spacing = np.log(omega), np.diff(omega)[at]
     weights = cubic(np.log(dense), x[nodes])
-    X = np.einsum("wk,wkij->wij", weights, lines.X[nodes])
     variance = np.einsum("wk,wkij->wij", weights**2, lines.variance[nodes])
 
     # what the ends of an interval are off, as far as noise does not explain it
     ends, others, c = _even(omega)
-    off = np.abs(lines.X[ends] - np.einsum("wek,wekij->weij", c, lines.X[others]))
     noise = lines.variance[ends] + np.einsum("wek,wekij->weij", c**2, lines.variance[others])
-    off = np.maximum(off - lines.reach * np.sqrt(noise), 0.0).max(axis=1)
-    noise = noise.max(axis=1)
+
+    def through(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The cubic (d, a, a) of values (w, a, a) at the lines, and what it may miss."""
+        off = np.abs(values[ends] - np.einsum("wek,wekij->weij", c, values[others]))
+        off = np.maximum(off - lines.reach * np.sqrt(noise), 0.0).max(axis=1)
+        return np.einsum("wk,wkij->wij", weights, values[nodes]), off[at]
+
+    X, missed = through(lines.X)
+    if modelled is not None:
+        modes = _hiding(lines, modelled, modes)
+        apart = np.ones(len(dense), bool)
+        for pole in modes:  # resolved by the lines there it could not hide
+            near = np.abs(dense / np.abs(pole) - 1) < _NEAR
+            apart &= ~(near & (-pole.real < _SEEN * spacing))
+        rest, left = through(lines.X - modelled(omega))
+        X[apart], missed[apart] = (rest + modelled(dense))[apart], left[apart]
 
     # of the machine file's modes, its damping is assumed beside their frequencies
     damping = np.full(len(dense), np.inf)
     for pole in modes:
         near = np.abs(dense / np.abs(pole) - 1) < _NEAR
         damping[near] = np.minimum(damping[near], -pole.real / np.abs(pole))
-    spacing = np.diff(omega)[at]
     narrow = np.maximum(_SEEN * spacing / (np.minimum(damping, _LEAST) * dense), 1.0)
-    missed = off[at] * narrow[:, None, None]
+    missed *= narrow[:, None, None]
 
     # noise may hide such a mode
     hidden = np.maximum(_SEEN * spacing / (damping * dense), 1.0)
     on_line = np.isin(dense, omega)
     missed[on_line], hidden[on_line] = 0.0, 1.0
     hiding = hidden > 1
-    variance[hiding] = (noise[at] * (hidden**2)[:, None, None])[hiding]
+    variance[hiding] = (noise.max(axis=1)[at] * (hidden**2)[:, None, None])[hiding]
     return Between(dense, X, variance, missed, spacing)
+
+
+def _hiding(lines: Lines, modelled: Modelled, modes: np.ndarray) -> np.ndarray:
+    """Those of the modes (m,) of a model that lines may hide, (k,): not one that bends the response
+    by less than noise does, nor one that the lines show where and as the model has it.
+    """
+    omega, found = lines.omega, []
+    spacing, known = np.diff(omega), modelled(omega)
+    for pole in modes:
+        half, at = -pole.real, np.abs(pole)
+        if not omega[0] < at < omega[-1]:
+            found.append(pole)
+            continue
+        near = np.clip(at + half * np.linspace(-_BEND, _BEND, 9), omega[0], omega[-1])
+        noise = lines.variance[np.clip(np.searchsorted(omega, near), 0, len(omega) - 1)]
+        size = np.linalg.norm(_bend(near, modelled(near)), axis=(1, 2))
+        if (size <= _QUIET * np.sqrt(noise.sum(axis=(1, 2)))).all():
+            continue
+        # resolved at the model's frequency, and of its bend there little is left
+        first, last = np.searchsorted(omega, (at - half / 2, at + half / 2))
+        here = slice(*np.searchsorted(omega, (near[0], near[-1])))
+        seen = 0 < first and last < len(omega) and here.stop - here.start >= _BENT
+        if seen and half >= _SEEN * spacing[first - 1 : last].max():
+            left, bend = (
+                float(np.sum(np.abs(_bend(omega[here], X)) ** 2))
+                for X in (lines.X[here] - known[here], known[here])
+            )
+            count = here.stop - here.start
+            scatter_left = float(lines.variance[here].sum()) * (1 - 2 / count)
+            if bend >= _SHOWN * scatter_left and left <= _LEFT * bend + _NOISY * scatter_left:
+                continue
+        found.append(pole)
+    return np.array(found, complex)
+
+
+def _bend(omega: np.ndarray, X: np.ndarray) -> np.ndarray:
+    """X (w, a, a) without its straight part."""
+    line = np.column_stack([np.ones(len(omega)), omega / omega.mean() - 1])
+    flat = X.reshape(len(X), -1)
+    return np.asarray((flat - line @ np.linalg.lstsq(line, flat, rcond=None)[0]).reshape(X.shape))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -358,6 +430,21 @@ def controller_at(law: StateSpace | None, axes: int) -> Controller:
         if dt is None:
             return evaluate(form, 1j * omega + 1e4 * _OUTSIDE)
         return evaluate(form, (1 + _OUTSIDE) * np.exp(1j * omega * dt))
+
+    return at
+
+
+def _as_modelled(
+    lines: Lines, places: tuple[int, ...], plant: Modelled, ran: StateSpace | None
+) -> Modelled:
+    """The response that lines hold, at these places of the axes, of a model's plant G (w, a, a)."""
+
+    def at(omega: np.ndarray) -> np.ndarray:
+        G = plant(omega)
+        K = controller_at(ran, G.shape[1])(omega)
+        Y = np.linalg.inv(np.eye(G.shape[1]) + G @ K) @ G
+        made = {"G": G, "motion": Y, "T": Y @ K, "K Y": K @ Y}[lines.kind]
+        return made[np.ix_(range(len(omega)), places, places)]
 
     return at
 
@@ -554,7 +641,8 @@ def check_measured(
         def of(there: Controller, places: tuple[int, ...] = places) -> Controller:
             return lambda omega: there(omega)[np.ix_(range(len(omega)), places, places)]
 
-        points = between(lines, packed, model.modes)
+        made = _as_modelled(lines, places, model.plant, ran)
+        points = between(lines, packed, model.modes, made)
         judged = judge_lines(points, lines, of(at)(points.omega), of(run_at)(points.omega))
         told.append(judged)
         if len(parts) > 1 or np.abs(K - K_run).max() <= _NOTHING * np.abs(K).max():
@@ -938,7 +1026,7 @@ def _checks(
         )
         wanted = demand(rule, requirements)
         if wanted.limit is not None and low < wanted.limit <= high:
-            detail += "; not decided: measure longer there"
+            detail += f"; {UNDECIDED}: measure longer there"
         what = ALL_AXES if name == "max" else name
         title = f"Peak output sensitivity, {what}, upper end as measured"
         checks.append(judge(f"sensitivity.output.{name}", title, high, "-", wanted, detail))

@@ -523,6 +523,15 @@ class Synthesis(Presented, Law):
         return beyond or unmet or too_large or self.lost_as_assumed
 
     @property
+    def undecided(self) -> bool:
+        """Whether all that is missed is what measured responses do not tell."""
+        margins = dict(self.certificate.margins)
+        count = margins.pop("undecided_checks", 0.0)
+        margins["unmet_checks"] = margins.get("unmet_checks", 0.0) - count
+        certificate = replace(self.certificate, margins=margins)
+        return count > 0 and not replace(self, certificate=certificate).missed
+
+    @property
     def ratios(self) -> dict[str, float]:
         """Each requirement over its limit, of a tuned controller; guards of the search are none."""
         margins = self.certificate.margins.items()

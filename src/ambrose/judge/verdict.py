@@ -396,7 +396,13 @@ def _verify_axes(
     boxes: tuple[Checks, ...] = ()
     if asked.tolerances:
         boxes = verify_tolerances(
-            modelled, law, checks, progress, timing, everywhere=asked.everywhere
+            modelled,
+            law,
+            checks,
+            progress,
+            timing,
+            everywhere=asked.everywhere,
+            informed=asked.informed,
         )
     checks = (*by_lines, *checks)
     ranges: tuple[Checks, ...] = ()
@@ -582,6 +588,7 @@ def verify_tolerances(
     *,
     design: LawLike | None = None,
     everywhere: bool = False,
+    informed: bool = True,
 ) -> tuple[Checks, ...]:
     """The checks over the tolerances around every plant with a stable loop (``points``) and any
     tolerance.
@@ -589,7 +596,7 @@ def verify_tolerances(
     tolerances: None: all; otherwise those, and of all together only the number of unstable corners
     and samples. Around the first of them (``everywhere``: around all) everything is examined: worst
     cases searched and bounded, stability proved. Around the others stability and the worst
-    sensitivity are searched. With a
+    sensitivity are searched. informed: what no requirement limits, too. With a
     timing this is done on the continuous loop with its mean delay, and the sampled loop is examined
     at the corners, at samples and at what the search found, which judges the sensitivity. design:
     the continuous law that ``controller`` is the sampled one of (None: itself); of a sampled law
@@ -613,6 +620,7 @@ def verify_tolerances(
                     varied,
                     detailed=everywhere or not boxes,
                     late=timing is not None,
+                    informed=informed,
                 )
             )
             if tolerances is not None and (every := tolerances_around(plant)):
@@ -629,16 +637,23 @@ def verify_tolerances(
 
 
 def _continuous_box(
-    plant: Plant, law: StateSpace, varied: tuple[Tolerance, ...], *, detailed: bool, late: bool
+    plant: Plant,
+    law: StateSpace,
+    varied: tuple[Tolerance, ...],
+    *,
+    detailed: bool,
+    late: bool,
+    informed: bool,
 ) -> Checks:
     """The robust checks of a continuous law, which with ``late`` holds the loop's mean delay;
-    ``detailed``: all of them.
+    ``detailed``: all of them; ``informed``: those that no requirement limits, too.
     """
     if not detailed:
         box = robust.examine(plant, law, varied)
     else:
-        weights = machine_weights(plant.machine) if plant.machine.weights is not None else None
-        box = robust.check(plant, law, varied, weights)
+        stated = informed and plant.machine.weights is not None
+        weights = machine_weights(plant.machine) if stated else None
+        box = robust.check(plant, law, varied, weights, informed=informed)
     if not late:
         return box
     checks = tuple(replace(c, detail=f"{c.detail}; {WITH_MEAN_DELAY}") for c in box.checks)

@@ -593,14 +593,15 @@ def as_measured(
     there, or is not told, counts as missed, with a note each; unstable there is unstable.
     """
     from ambrose.core.checks import InvalidInput
-    from ambrose.judge.measured import MEASURED, check_measured
+    from ambrose.judge.measured import MEASURED, UNDECIDED, check_measured
     from ambrose.judge.result import Status
 
     margins, notes = dict(result.certificate.margins), list(result.notes)
     try:
         checks = check_measured(plant, response, result.controller, running, timing)
     except InvalidInput as error:  # they told the loop that ran, and not this one
-        margins["unmet_checks"] = margins.get("unmet_checks", 0.0) + 1
+        for count in ("unmet_checks", "undecided_checks"):
+            margins[count] = margins.get(count, 0.0) + 1
         notes.append(f"{plant.point.label}{MEASURED}: {error}")
         certificate = replace(result.certificate, margins=margins)
         return replace(result, certificate=certificate, notes=tuple(notes))
@@ -613,6 +614,8 @@ def as_measured(
     failed = list(checks.failed)
     if failed:
         margins["unmet_checks"] = margins.get("unmet_checks", 0.0) + len(failed)
+        untold = sum(UNDECIDED in check.detail for check in failed)
+        margins["undecided_checks"] = margins.get("undecided_checks", 0.0) + untold
     for check in failed:
         limit = "" if check.limit is None else f", not {check.relation} {check.limit:.4g}"
         notes.append(f"{checks.label}: {check.title} {check.value:.4g}{limit}; {check.detail}")

@@ -284,13 +284,13 @@ def test_refusals(tmp_path):
 
 
 def test_the_method_keeps_the_structure():
-    method = method_like(law(), Timing(1e-4, 2))
+    method = method_like(law(), Timing(1e-4, 2), machine())
     assert (method.order, method.structure) == (8, "free")
     assert (method.rate, method.delay_samples) == (10_000.0, 2)
-    assert method_like(amb.design(machine(), "pid"), Timing(1e-4)).order == 8
+    assert method_like(amb.design(machine(), "pid"), Timing(1e-4), machine()).order == 8
     # what a design takes by itself may grow where a limit needs it
     wide = with_states(law().controller, 4, ((0, 1, 2, 3),))
-    assert method_like(replace(law(), controller=wide), Timing(1e-4)).order is None
+    assert method_like(replace(law(), controller=wide), Timing(1e-4), machine()).order is None
 
 
 def designed(monkeypatch, folder, made):

@@ -467,10 +467,15 @@ def _of_response(
     omega = response.omega
     K = frequency_response(law, omega).values
     held = c2d(select(plant.system, plant.named("u"), plant.named("y")), timing.sample_time)
-    refuse_misread(response, axes, frequency_response(held, omega).values, K)
+
+    def modelled(omega: np.ndarray) -> np.ndarray:
+        return frequency_response(held, omega).values
+
+    refuse_misread(response, axes, modelled(omega), K)
     s = poles(closed_loop(plant, law))
     s = np.log(s[np.abs(s) > 1e-6].astype(complex)) / timing.sample_time
-    S, deviation, rise = sensitivity_of(response, axes, law, s[(s.imag > 0) & (s.real < 0)])
+    modes = s[(s.imag > 0) & (s.real < 0)]
+    S, deviation, rise = sensitivity_of(response, axes, law, modes, modelled)
 
     # lines above the range of the limits tell nothing of them
     kept = omega <= highest

@@ -29,6 +29,7 @@ from ambrose.core.frequency import FrequencyResponse
 from ambrose.identification.frf import IN_WORDS
 from ambrose.identification.frf_spectral import Frf
 from ambrose.judge.checks import Check, Checks, Curve, Verification, required_line, zone_lines
+from ambrose.judge.measured import MEASURED
 from ambrose.law.law import law_of
 from ambrose.law.loop import timing_in_words
 from ambrose.machine.criteria import SENSITIVITY
@@ -715,11 +716,17 @@ def _compared(before: Verification, after: Verification | None) -> Table:
     rows: list[Row] = []
     for old in before.points:
         pair = [old] if after is None else [old, at_point(after, old.label)]
+        label, ways = old.label, [checks.label.endswith(MEASURED) for checks in pair]
+        if any(ways) and not all(ways):  # the responses tell one of the two
+            label = f"{old.label.removesuffix(MEASURED)}, " + ", ".join(
+                f"{name} {'measured' if way else 'by the model'}"
+                for name, way in zip(("running", "new"), ways, strict=True)
+            )
         for name, words in _COMPARED:
             found = [_named_of_page(checks, name) for checks in pair]
             if any(check is not None for check in found):
                 cells = map(_cell, found, [checks.stable for checks in pair])
-                rows.append((old.label, words, *cells))
+                rows.append((label, words, *cells))
     return Table("Point by point", columns, tuple(rows), "", by_cell=True)
 
 

@@ -40,6 +40,7 @@ from ambrose.judge.result import Status, Synthesis, synthesis_of
 from ambrose.judge.verdict import verify_controller
 from ambrose.law.law import LawLike
 from ambrose.law.loop import Timing, check_clock, timing_of
+from ambrose.law.pid import first_settings, pid_controller
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.file.update import machine_text
 from ambrose.machine.machine import Machine
@@ -554,6 +555,7 @@ def _verified(chain: _Chain, law: Synthesis, *, tolerances: bool = True) -> Veri
             axes=done.machine.group,
             tolerances=tolerances,
             everywhere=True,
+            informed=False,
             rate=timing.rate,
             delay_samples=timing.delay_samples,
             progress=chain.progress,
@@ -589,7 +591,9 @@ def _say_measured(chain: _Chain, name: str, title: str, verification: Verificati
             found.append(f"{checks.label}: unstable; {checks['stability.measured'].detail}")
             continue
         worst = max(rows, key=lambda check: check.value)
-        found.append(f"{checks.label}: {worst.name.rpartition('.')[2]} {worst.detail}")
+        limit = "" if worst.limit is None else f", limit {worst.limit:g}"
+        name = worst.name.rpartition(".")[2]
+        found.append(f"{checks.label}: at most {worst.value:.3g} ({name}{limit}), {worst.detail}")
         found.append(checks.notes[0].rstrip("."))
     chain.say(name, title, None, "; ".join(found))
 
@@ -650,7 +654,7 @@ def _why(check: Any) -> str:
     return f"{check.title[0].lower()}{check.title[1:]} {check.value:.4g}{limit}"
 
 
-def method_like(running: Synthesis, timing: Timing) -> Tuned:
+def method_like(running: Synthesis, timing: Timing, machine: Machine) -> Tuned:
     """The tuned method with the structure of the running controller, so that only parameters of
     its code change: as many states, and the axes kept apart as they were where it was tuned.
 
@@ -658,7 +662,9 @@ def method_like(running: Synthesis, timing: Timing) -> Tuned:
     """
     settings = running.provenance.settings or {}
     structure = str(settings.get("structure", "free")) if running.method == "tuned" else "free"
+    start = machine.reference or first_settings(machine)
     states, usual = running.controller.n_states, STATES_PER_AXIS * len(running.inputs)
+    usual = max(usual, pid_controller(start, machine).n_states)
     by_itself = structure in {"pid", "filters"} or states == usual
     return Tuned(
         rate=timing.rate,
@@ -692,7 +698,8 @@ def _tuned(chain: _Chain, plant: Plant) -> tuple[Synthesis, str]:
     """The new controller, with as many states as the running one where that meets what is asked
     for, else with as many as that takes; and how many. Raises NumericalFailure.
     """
-    method = _on_measured(chain, plant, method_like(chain.running, chain.timing))
+    method = method_like(chain.running, chain.timing, plant.machine)
+    method = _on_measured(chain, plant, method)
     before = chain.running.controller.n_states
     path, fewer = chain.folder / CONTROLLER, chain.folder / SAME_ORDER
     if method.order is not None:
@@ -703,7 +710,7 @@ def _tuned(chain: _Chain, plant: Plant) -> tuple[Synthesis, str]:
         except NumericalFailure as error:
             chain.progress(f"{error}; another one, with as many states as it takes")
         else:
-            if not new.missed:
+            if not new.missed or new.undecided:  # more states show nothing more
                 if kept is fewer:
                     set_aside(path)
                     fewer.replace(path)
@@ -777,6 +784,8 @@ def _beside(before: Verification, after: Verification) -> str:
     for old in before.points:
         own = at_point(after, old.label)
         was = f"{old[_PEAK].value:.3g}" if old.stable else "unstable"
+        if old.label != own.label:  # measured, and the responses do not tell the new one
+            was += f" ({old.label.rpartition(', ')[2]})"
         rows.append(f"{own.label} {was} to {own[_PEAK].value:.3g}")
     return f"largest output sensitivity: {', '.join(rows)}"
 
@@ -838,7 +847,11 @@ def _switched(chain: _Chain, new: Synthesis, machine: Machine) -> None:
     for forward in (True, False):
         first, second = (chain.running, new) if forward else (new, chain.running)
         chain.progress("changing the controller on the virtual rig" if forward else "and back")
-        runs.append(_switch(chain, machine, point, first, second, forward))
+        try:
+            runs.append(_switch(chain, machine, point, first, second, forward))
+        except AmbroseError as error:
+            chain.say("switched", title, False, str(error))
+            return
     chain.made["switches"] = tuple(runs)
     words = "; ".join(_switch_in_words(run) for run in runs)
     chain.say("switched", title, all(run.passed for run in runs), words)

@@ -481,10 +481,11 @@ def _grid(job: Job, cost: Objective, x: np.ndarray, per_decade: int) -> np.ndarr
     at, half = unwarped(poles.imag, job.timing), np.abs(poles.real)
     light = half < 0.06 * at
     more = np.concatenate([at, (at + half)[light], (at - half)[light], np.array(job.extra)])
+    lowest = min([_LOWEST, *job.extra])
 
     # a quarter of it is the radius: an eighth of a resonance's bandwidth, _SAME of a known peak
     apart = np.concatenate([half, half[light], half[light], 4 * _SAME * np.array(job.extra)])
-    inside = (more >= _LOWEST) & (more <= top)
+    inside = (more >= lowest) & (more <= top)
     points = np.concatenate([grid, more[inside]])
     radius = _APART * points  # of a light resonance less, or its peak would fall between two points
     radius[len(grid) :] = np.minimum(radius[len(grid) :], 0.25 * apart[inside])
@@ -515,8 +516,10 @@ def _peaks(cost: Objective, x: np.ndarray) -> np.ndarray:
 
 
 def _descended(job: Job, law: Law, power: int) -> tuple[Law, int]:
-    """One descent; true peaks of a denser grid are kept for the next."""
-    law = _with_room(job, law)
+    """One descent; true peaks of a denser grid are kept for the next. Where it ends in a pole that
+    no frequency shows (``_below``) it is made again, once, with those that do.
+    """
+    begin = law = _with_room(job, law)
     fastest = _limit(job, law)
     structure, x = _unknowns(job, law)
     rough = Objective(structure, job.models, np.array([100.0]), job.aims)
@@ -544,9 +547,21 @@ def _descended(job: Job, law: Law, power: int) -> tuple[Law, int]:
         law, (structure, x) = settled, _unknowns(job, settled)
         cost = Objective(structure, job.models, cost.omega, job.aims, job.reference)
     dense = Objective(structure, job.models, _grid(job, cost, x, _JUDGED), job.aims)
+    if (low := _below(job.aims, dense.poles(x))) and low[0] not in job.extra:
+        job.extra += low
+        return _descended(job, begin, power)
     job.extra += dense.omega[_peaks(dense, x)].tolist()
     job.extra += _unseen(dense.ratios(x), cost.ratios(x))
     return law, used
+
+
+def _below(aims: Aims, poles: np.ndarray) -> list[float]:
+    """Where the sensitivity shows that a loop's pole has no integral action behind it: below the
+    grid, where its limit is least. A turbomolecular-pump's gain met the limit on the grid, its
+    integrators ended in a pole at -2e-6 rad/s, which the next search could not move.
+    """
+    corner = aims.bandwidth * aims.stiff
+    return [0.1 * corner, corner] if (np.abs(poles) < corner).any() else []
 
 
 def _unseen(judged: Mapping[str, Ratio], tuned_on: Mapping[str, Ratio]) -> list[float]:
