@@ -429,8 +429,22 @@ def _rotor_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
     modes = free_modes(plant.rotor_model, int(parameter.name.removeprefix(BENDING)))
     omega = float(modes.frequencies[-1])
     if parameter.quantity == "damping":
+        # c q' and the circulatory k q of the other plane go with the ratio, as one; at zero as what
+        # a ratio of 1 would be
         ratio = float(modes.damping_ratios(plant.machine)[-1])
-        return [Channel(f"F_{p}", ratio, ((f"qdot_{p}", -2 * omega),)) for p in ports]
+        c, k = (float(of[-1]) for of in modes.damping(plant.machine, plant.point.speed))
+        share = plant.machine.rotating_share
+        brakes, drives = (
+            (c / ratio, k / ratio) if ratio else (2 * omega, 2 * omega * share * plant.point.speed)
+        )
+        return [
+            Channel(
+                f"F_{p}",
+                ratio,
+                ((f"qdot_{p}", -brakes), *([(f"q_{other}", turn * drives)] if drives else [])),
+            )
+            for p, other, turn in zip(ports, reversed(ports), (-1.0, 1.0), strict=True)
+        ]
     return [
         channel
         for p in ports
