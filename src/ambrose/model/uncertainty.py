@@ -624,12 +624,14 @@ def reduce(plant: Plant, bending_modes: int = 0, static_correction: bool = True)
 
 def reduce_from(plant: Plant, bending_modes: int) -> Plant:
     """``reduce`` with so many bending modes per plane, or up to three more where that would part
-    modes that coincide.
+    modes that coincide. Where all do, as the slow poles of modes that Rayleigh's beta overdamps
+    (near 1/beta), ``free_mode_reduction`` with the compliance of the others.
     """
-    for count in range(bending_modes, min(bending_modes + 3, bending_modes_of(plant.rotor_model))):
+    available = bending_modes_of(plant.rotor_model)
+    for count in range(bending_modes, min(bending_modes + 3, available) + 1):
         with suppress(NumericalFailure):
             return reduce(plant, count)
-    return reduce(plant, min(bending_modes + 3, bending_modes_of(plant.rotor_model)))
+    return free_mode_reduction(plant, min(bending_modes, available), residual=True)
 
 
 def default_bending_modes(plant: Plant) -> int:
