@@ -362,8 +362,8 @@ def lateral_schema() -> dict[str, Any]:
         ),
         response=_table(speeds_rad_per_s=_list(_POSITIVE), curves=_list(curve)),
     )
-    # what an unstable loop, or a rotor without Level I, does not have
-    missing = {"level_one", "unbalance", "critical_speeds", "response"}
+    # what an unstable loop, a rotor without Level I or one without a controller does not have
+    missing = {"level_one", "unbalance", "critical_speeds", "response", "signal_chain"}
     whole["required"] = [key for key in whole["required"] if key not in missing]
     head = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

@@ -609,7 +609,7 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
     words = verdict_words(result)
     drawing = Figure("Rotor and its parts", machine_drawing(result.machine))
     tables = (rotor_table(result), *signal_tables(result))
-    opening = Section("Rotor and signal chain", "", (drawing,), tables)
+    opening = Section("Rotor", "", (drawing,), tables)
     summary, *rest = sections
     ordered = (summary, opening, *rest)
     summary = replace(summary, tables=(summary_table(result, ordered),))
