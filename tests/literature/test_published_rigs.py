@@ -4,8 +4,8 @@
    /MLPS_AMB_Modalanalyse/Abschaetzung_ML_k.m prints the mass and a mode measured at P = 5000 A/m;
    Matlab_Code/Examples/Config_Sim_Mag1.m the constant of the magnet, from its geometry and from
    measured characteristics.
-2. ``uberlandia-rig``: ROSS (petrobras/ross, commit 631a249a), amb_models.py and
-   bearing_seal_element.py; figures that it does not print are of one run of that commit in an
+2. ``uberlandia-rig``: ROSS (petrobras/ross, commit 631a249a), its modules
+   amb_models and bearing_seal_element; figures that it does not print are of one run of that commit in an
    environment of its own.
 """
 

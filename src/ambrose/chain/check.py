@@ -119,11 +119,11 @@ def rows_of(facts: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _threshold_row(
-    threshold_speed_rad_s: float | None = None, threshold_searched_rad_s: float = 0.0
+    threshold_speed_rad_s: float | None = None, threshold_searched_rad_s: float | None = 0.0
 ) -> Iterator[tuple[str, str]]:
     found, end = threshold_speed_rad_s, threshold_searched_rad_s
     if end or found is not None:
-        row = f"none up to {quantity(end, 'rad/s')}"
+        row = f"none up to {quantity(end or 0.0, 'rad/s')}"
         row = row if found is None else quantity(found, "rad/s") if found else "unstable at rest"
         yield "threshold speed, rotating damping, reference controller", row
 
@@ -1217,7 +1217,7 @@ def _threshold(machine: Machine) -> dict[str, float | None]:
 def _driven(
     machine: Machine,
     threshold_speed_rad_s: float | None = None,
-    threshold_searched_rad_s: float = 0.0,
+    threshold_searched_rad_s: float | None = 0.0,
 ) -> Iterator[str]:
     """Rotating damping whose threshold speed lies where the machine runs."""
     found, top = threshold_speed_rad_s, machine.operation.running[1] or top_speed(machine)

@@ -275,7 +275,9 @@ def largest_over_tolerances(
     case = next(item for item in response.cases if item.name == nominal.case)
     forces = case.forces(stations)
     # a rotor without probes is read at its journals, along the major axis
-    places = {j.name: (j.position, None) for j in layout.journals if not layout.readings}
+    places: dict[str, tuple[float, float | None]] = {}
+    if not layout.readings:
+        places = {j.name: (j.position, None) for j in layout.journals}
     places |= {item.name: (item.position, item.direction) for item in layout.readings}
     position, direction = places[nominal.probe]
     station = layout.nearest(position)

@@ -114,10 +114,10 @@ def _add_force(rig: Any, drive: Any, P: Any, k: int, tau: float, start: Any, F: 
             F[at + 2 * j], F[at + 2 * j + 1] = -over * gy, over * gx
         for j in range(rig.rotating.shape[0]):
             v, q = out + 2 * j, out + 2 * p + 2 * j
-            known = (rig.rotating[j, 0], rig.rotating[j, 1])
+            turning = (rig.rotating[j, 0], rig.rotating[j, 1])
             w = math.sqrt(rig.stiffness[j])
-            fx, fy = rotating_force((y[q], y[q + 1]), (y[v], y[v + 1]), speed, w, known)
-            gx, gy = rotating_force((y[q], y[q + 1]), (y[v], y[v + 1]), P.speed, w, known)
+            fx, fy = rotating_force((y[q], y[q + 1]), (y[v], y[v + 1]), speed, w, turning)
+            gx, gy = rotating_force((y[q], y[q + 1]), (y[v], y[v + 1]), P.speed, w, turning)
             F[at + 2 * j] += fx - gx
             F[at + 2 * j + 1] += fy - gy
         at, out = at + 2 * p, out + 2 * p + 2 * rig.rotating.shape[0]
