@@ -1202,14 +1202,17 @@ def _threshold(machine: Machine) -> dict[str, float | None]:
         return {}
     law, timing = pid_controller(machine.reference, machine), machine_timing(machine)
     design = assemble(machine, machine.operation.design)
-    modes = min(bending_modes_of(design.rotor_model), modes_judged(design) + _MODES)
+    top = machine.operation.running[1] or top_speed(machine)
+    # what whirls slower than the spin is driven
+    driven = int((judged_bending(machine) <= 2 * BEYOND_TOP * top).sum())
+    modes = min(bending_modes_of(design.rotor_model), driven + _MODES)
 
     def loop_at(speed: float) -> StateSpace:
-        at = assemble(machine, replace(design.point, speed=speed))
+        # of a plant the reduction takes machine and point
+        at = replace(design, point=replace(design.point, speed=speed))
         plant = free_mode_reduction(at, modes)
         return closed_loop(plant, running_law(law, plant, timing))
 
-    top = machine.operation.running[1] or top_speed(machine)
     found, end = threshold_speed(loop_at, 0.0, BEYOND_TOP * top)
     return {"threshold_speed_rad_s": found, "threshold_searched_rad_s": end}
 

@@ -435,7 +435,9 @@ def threshold_speed(
     """
 
     def unstable(speed: float) -> bool:
-        return bool(_modes(loop_at(speed)).poles.real.max() >= 0)
+        loop = loop_at(speed)
+        values = np.linalg.eigvals(balance(loop.A)[0])
+        return bool((np.abs(values) >= 1 if loop.dt else values.real >= 0).any())
 
     stable = low
     for lost in np.linspace(low, high, _THRESHOLD_SPEEDS).tolist():
