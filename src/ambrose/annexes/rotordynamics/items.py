@@ -208,7 +208,7 @@ def vibration_over_tolerances(reading: Reading, member: str, lowest: float, high
     limit = standard.vibration_limit(highest / standard.RPM)
     return Item(
         "vibration.tolerances",
-        "Largest reading of that probe found within the tolerances",
+        "Largest probe reading found within the tolerances",
         "Ambrose",
         "search: both ends of each tolerance, then the steepest corner over the running range",
         OWN,
