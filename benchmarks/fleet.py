@@ -199,18 +199,16 @@ def results_page(results):
     )
     return f"""# All commands on all machines
 
-Exit status and seconds of twelve commands on the [bundled machines](../reference/machines.md), on two slow cores that
-were busy: **+** all checks passed, **1** done, but a check failed, **2** refused. `pid` is the machine file's own
-`[controller]`, meant to levitate and no more. Those of turboexpander and seal rigs are published continuous ones; at the
-assumed 10 kHz the first does not levitate. `python -m benchmarks.fleet` makes this page; `tests/test_fleet.py` runs the
-same commands.
+Exit status and seconds of twelve commands on the [bundled machines](../reference/machines.md): **+** all checks passed, **1** done, but a check failed, **2** refused. `pid` is the machine file's own
+`[controller]`. Those of turboexpander and seal rigs are published continuous ones; at the
+assumed 10 kHz the first does not levitate. `python -m benchmarks.fleet` makes this page.
 
 Passed on all {len(results)} machines: {everywhere}. The others:
 
 {head}
 {table}
 
-Which checks fail, and why a command refuses, is in `benchmarks/fleet.json`. `export` refuses for the checks that `verify` names.
+Failing checks and refusals: `benchmarks/fleet.json`.
 """
 
 

@@ -64,3 +64,12 @@ def test_a_slow_state_in_large_units_is_summed_to_its_end():
     B = np.diag([1.0, 1e-19])
     found = peak_gains(np.diag([-0.9, -1e-5]), B)
     assert np.diag(found) * [0.9, 1e14] == pytest.approx(np.ones(2), rel=1e-6)
+
+
+def test_a_state_that_forgets_at_once():
+    """A pole at z = 0 exactly, as Tustin makes of a lag of half a sample (munich-rig's derivative):
+    one sample's input is all that it holds, and no logarithm of zero on the way.
+    """
+    with np.errstate(all="raise"):
+        for steps in (1.0, 5.0, np.inf):
+            assert peak_gains(np.array([[-1.0]]), np.array([[3.0]]), steps) == pytest.approx(3.0)

@@ -9,17 +9,22 @@ import numpy as np
 import pytest
 
 import ambrose as amb
+from ambrose.chain.check import facts
 from ambrose.core.statespace import StateSpace, spectral_abscissa, static_gain
 from ambrose.judge import nominal
+from ambrose.judge.campbell import threshold_check
 from ambrose.judge.plants import judge_stability
 from ambrose.judge.synchronous import block_loops, check_block
-from ambrose.law.loop import machine_timing, match_controller
+from ambrose.law.law import law_of
+from ambrose.law.loop import closed_loop, machine_timing, match_controller, running_law
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint, Operation, Requirements
+from ambrose.machine.file.toml import load_machine
 from ambrose.machine.part import Seal, SealTable, Synchronous
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.stations import JournalBearing
 from ambrose.model.static_load import unbalance
+from ambrose.model.uncertainty import free_mode_reduction
 from ambrose.report.tables import deciding_verdict
 from coarse import coarse
 
@@ -261,3 +266,27 @@ def test_a_range_that_is_stated_is_not_asked_for():
     found = amb.verify(machine, lost, tolerances=False)
     assert not found.stable and machine.operation.speed_range[1] > 0
     assert found.between == "nothing between their speeds"
+
+
+def test_check_and_verify_tell_the_threshold_speed_of_rotating_damping():
+    """Of the same loop, within what the reduction of check leaves; without a share neither does."""
+    machine = load_machine("munich-rig")
+    tops = OperatingPoint(3000.0, label="top"), OperatingPoint(0.0, label="standstill")
+    machine = replace(
+        machine, rotating_share=1.0, tolerances=(), operation=Operation(tops, (0.0, 3000.0))
+    )
+    told = facts(machine)
+    found = told["threshold_speed_rad_s"]
+    assert 2700 < found < 3000
+    assert any("the threshold speed of the rotating damping" in doubt for doubt in told["doubts"])
+    law = pid_controller(machine.controller, machine)
+    plant = amb.assemble(machine, "top")
+
+    def loop_at(speed):
+        at = free_mode_reduction(replace(plant, point=replace(plant.point, speed=speed)), 20)
+        return closed_loop(at, running_law(law_of(law), at, machine_timing(machine)))
+
+    row = threshold_check(loop_at, 0.8 * found, 0.6 * found)
+    assert row.value == pytest.approx(found, rel=2e-3) and row.limit is None
+    still = facts(replace(machine, rotating_share=0.0))
+    assert "threshold_speed_rad_s" not in still

@@ -140,6 +140,7 @@ def test_every_value_of_the_small_machine():
         source="made up",
         beam_theory="timoshenko",
         modal_damping=0.01,
+        rotating_share=0.2,
         gravity_direction=-90 * deg,
         assumed=(
             ("bearing.A.gap", "made up"),

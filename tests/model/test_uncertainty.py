@@ -151,7 +151,9 @@ def stiffer(machine, factor):
     ],
 )
 @pytest.mark.parametrize("delta", [-1.0, 0.7])
-def test_a_bending_mode_moves_as_a_changed_shaft(machine, quantity, change, delta):
+@pytest.mark.parametrize("share", [0.0, 0.8])
+def test_a_bending_mode_moves_as_a_changed_shaft(machine, quantity, change, delta, share):
+    machine = replace(machine, rotating_share=share)
     path = f"rotor.bending_1.{quantity}"
     named = replace(machine, tolerances=(Tolerance(path, relative=0.3),))
     full = assemble(named)

@@ -57,6 +57,11 @@ CASES = {
     "one mode, driven": (RIG, DRIVEN, 1),
     "turning": (RIG, TURNING, 1),
     "run-up": (RIG, RUN_UP, 1),
+    "run-up, rotating damping": (
+        replace(RIG, rayleigh_beta=1e-5, loss_factor=0.1, rotating_share=0.7),
+        RUN_UP,
+        1,
+    ),
     "pressure": (RIG, PRESSURE, 1),
     "added mass": (HEAVY, replace(RUN_UP, pressures=PRESSURE.pressures), 1),
     "run-out before the sensors' lag": (SEEN, replace(RUN_UP, sequences=()), 1),

@@ -19,12 +19,12 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import AmbroseError, InvalidInput, named_failure
-from ambrose.core.statespace import poles, spectral_abscissa
-from ambrose.judge.campbell import PLANAR, whirl_measure
+from ambrose.core.statespace import StateSpace, poles, spectral_abscissa
+from ambrose.judge.campbell import BEYOND_TOP, PLANAR, threshold_speed, whirl_measure
 from ambrose.judge.loop_response import beyond_reach, unavoidable_sensitivity, unavoidable_words
 from ambrose.judge.nominal import below_stiffness, stiffness_margin
 from ambrose.judge.plants import judge_stability
-from ambrose.law.loop import machine_timing
+from ambrose.law.loop import closed_loop, machine_timing, running_law
 from ambrose.law.pid import axes_mixings, channel_chains, first_settings, mixings, pid_controller
 from ambrose.machine.attachment import attached
 from ambrose.machine.criteria import demand
@@ -85,6 +85,7 @@ def rows_of(facts: dict[str, Any]) -> list[tuple[str, str]]:
                 "critical speeds, undamped, no cross-coupling",
                 ", ".join(quantity(w, "rad/s") for w in facts["critical_speeds_rad_s"]) or "none",
             ),
+            *_threshold_row(**{k: v for k, v in facts.items() if k.startswith("threshold_")}),
             (
                 "lowest achievable sensitivity peak (delay)",
                 "none" if least is None else f"{least:.3g}",
@@ -115,6 +116,16 @@ def rows_of(facts: dict[str, Any]) -> list[tuple[str, str]]:
         ("assumed entries", f"{facts['assumed']}, listed with their reasons in the report"),
         *((f"thrust axis: {name}", value) for name, value in rows_of(facts.get("thrust", {}))),
     ]
+
+
+def _threshold_row(
+    threshold_speed_rad_s: float | None = None, threshold_searched_rad_s: float | None = 0.0
+) -> Iterator[tuple[str, str]]:
+    found, end = threshold_speed_rad_s, threshold_searched_rad_s
+    if end or found is not None:
+        row = f"none up to {quantity(end or 0.0, 'rad/s')}"
+        row = row if found is None else quantity(found, "rad/s") if found else "unstable at rest"
+        yield "threshold speed, rotating damping, reference controller", row
 
 
 def _mesh(errors: list[float]) -> str:
@@ -858,7 +869,9 @@ def insight(plant: Plant) -> dict[str, Any]:
         critical = critical_speeds(machine)
     except AmbroseError:
         critical = []
+    threshold = _threshold(machine)
     return {
+        **threshold,
         "bearings": [
             {
                 "name": b.name,
@@ -888,6 +901,7 @@ def insight(plant: Plant) -> dict[str, Any]:
             *_stiffness(machine, margin),
             *_places(machine, rotor),
             *_operation(machine, critical),
+            *_driven(machine, **threshold),
             *_timing(machine, rotor, least, pole, delay),
             *corner_doubts(machine, critical[0] if critical else pole),
             *block_doubts(machine),
@@ -1179,6 +1193,44 @@ def _not_held(machine: Machine) -> Iterator[str]:
         yield (
             f"the [controller] is unstable at {', '.join(lost)}: use method tuned, which may start "
             "from it, not method pid"
+        )
+
+
+def _threshold(machine: Machine) -> dict[str, float | None]:
+    """The threshold speed [rad/s] of the loop under the reference controller, None for none, and
+    how far it was looked for; nothing where no damping turns with the rotor.
+    """
+    if not machine.rotating_share or machine.reference is None:
+        return {}
+    law, timing = pid_controller(machine.reference, machine), machine_timing(machine)
+    design = assemble(machine, machine.operation.design)
+    top = machine.operation.running[1] or top_speed(machine)
+    # what whirls slower than the spin is driven
+    driven = int((judged_bending(machine) <= 2 * BEYOND_TOP * top).sum())
+    modes = min(bending_modes_of(design.rotor_model), driven + _MODES)
+
+    def loop_at(speed: float) -> StateSpace:
+        # of a plant the reduction takes machine and point
+        at = replace(design, point=replace(design.point, speed=speed))
+        plant = free_mode_reduction(at, modes)
+        return closed_loop(plant, running_law(law, plant, timing))
+
+    found, end = threshold_speed(loop_at, 0.0, BEYOND_TOP * top)
+    return {"threshold_speed_rad_s": found, "threshold_searched_rad_s": end}
+
+
+def _driven(
+    machine: Machine,
+    threshold_speed_rad_s: float | None = None,
+    threshold_searched_rad_s: float | None = 0.0,
+) -> Iterator[str]:
+    """Rotating damping whose threshold speed lies where the machine runs."""
+    found, top = threshold_speed_rad_s, machine.operation.running[1] or top_speed(machine)
+    if found is not None and 0 < found <= top:
+        yield (
+            f"under the [controller] the threshold speed of the rotating damping, "
+            f"{found * _RPM:,.4g} rpm, is below the top speed, {top * _RPM:,.4g} rpm: above it "
+            "forward whirl grows; damp that mode in the loop, or correct rotating_share"
         )
 
 

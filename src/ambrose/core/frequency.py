@@ -450,12 +450,10 @@ def _single(increment: float, steps: float) -> float:
             return np.inf
         return steps if distance == 0 else float(np.expm1(steps * np.log1p(-distance)) / -distance)
 
-    # (1 - |a|^k)/(1 - |a|), in expm1 and log1p: a slow pole keeps its digits
-    return (
-        1 / distance
-        if steps == np.inf
-        else float(-np.expm1(steps * np.log1p(-min(distance, 1.0))) / distance)
-    )
+    # (1 - |a|^k)/(1 - |a|), in expm1 and log1p: a slow pole keeps its digits; at a = 0, a delay, 1
+    if steps == np.inf or distance == 1:
+        return 1 / distance
+    return float(-np.expm1(steps * np.log1p(-distance)) / distance)
 
 
 def _summed(A: np.ndarray, B: np.ndarray, steps: float) -> np.ndarray:

@@ -4,6 +4,7 @@ critical speeds.
 | check | what | unit |
 |---|---|---|
 | stability.speeds | largest real part of the poles over the speed range; below zero | rad/s |
+| stability.threshold | speed from which rotating damping makes the loop unstable | rad/s |
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.aliasing import continuous_poles
-from ambrose.core.checks import check_shape, invalid, named_failure
+from ambrose.core.checks import InvalidInput, check_shape, invalid, named_failure
 from ambrose.core.presentation import Presented
 from ambrose.core.statespace import StateSpace, balance_matrix as balance, index_of
 from ambrose.judge.checks import Check, Curve, information, judge
@@ -419,6 +420,52 @@ def speed_stability_check(along: AlongSpeed, point: OperatingPoint | None = None
         "rad/s",
         Demand(0.0, "<", "asymptotic stability"),
         f"largest at {speeds[k] / TWO_PI:.4g} Hz, {span}{unstable}",
+    )
+
+
+_THRESHOLD_SPEEDS, _HALVINGS = 24, 20
+BEYOND_TOP = 2.0  # times the top speed up to which a threshold speed is looked for; assumed
+
+
+def threshold_speed(
+    loop_at: Callable[[float], StateSpace], low: float, high: float
+) -> tuple[float | None, float]:
+    """The first speed [rad/s] between two from which a closed loop is unstable, None for none, and
+    the speed to which it was looked for: ``high``, or where coefficients or controller end.
+    """
+
+    def unstable(speed: float) -> bool:
+        loop = loop_at(speed)
+        values = np.linalg.eigvals(balance(loop.A)[0])
+        return bool((np.abs(values) >= 1 if loop.dt else values.real >= 0).any())
+
+    stable = low
+    for lost in np.linspace(low, high, _THRESHOLD_SPEEDS).tolist():
+        try:
+            if not unstable(lost):
+                stable = lost
+                continue
+        except InvalidInput:
+            return None, stable
+        end = lost
+        for _ in range(_HALVINGS if end > stable else 0):
+            middle = (stable + end) / 2
+            stable, end = (stable, middle) if unstable(middle) else (middle, end)
+        return end, end
+    return None, high
+
+
+def threshold_check(loop_at: Callable[[float], StateSpace], low: float, high: float) -> Check:
+    """``threshold_speed`` from the lowest speed to ``BEYOND_TOP`` times the highest [rad/s]."""
+    found, end = threshold_speed(loop_at, low, BEYOND_TOP * high)
+    detail = f"the loop is stable up to {end / TWO_PI:.4g} Hz, where the search ended"
+    return information(
+        "stability.threshold",
+        "Threshold speed with rotating damping",
+        end,
+        "rad/s",
+        detail if found is None else f"unstable from here on; top speed {high / TWO_PI:.4g} Hz",
+        ">=",
     )
 
 

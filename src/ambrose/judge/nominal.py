@@ -18,7 +18,14 @@ from ambrose.core.checks import check_shape, invalid, named_failure
 from ambrose.core.response import pulses, simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
-from ambrose.judge.campbell import follow, modes, pole_checks, pole_curve, speed_stability_check
+from ambrose.judge.campbell import (
+    follow,
+    modes,
+    pole_checks,
+    pole_curve,
+    speed_stability_check,
+    threshold_check,
+)
 from ambrose.judge.checks import Check, Checks, Curve, information, judge
 from ambrose.judge.loop_response import (
     Evaluator,
@@ -559,9 +566,11 @@ def _assembled(
         np.unique([*even, *knots]),
         critical=residual is not None,
     )
-    stability = speed_stability_check(along, plant.point)
-    if residual is None or not stability.passed:
-        return [stability], []
+    stability = [speed_stability_check(along, plant.point)]
+    if plant.machine.rotating_share:
+        stability += [threshold_check(lambda w: closed_loop(at := plant_at(w), law_at(at)), *span)]
+    if residual is None or not stability[0].passed:
+        return stability, []
     low = max(low, 0.02 * high)
     speeds = np.unique([*np.linspace(low, high, _SPEEDS), *speed_knots(plant.machine, low, high)])
     if requirements.unbalance_to is not None and speeds[0] < requirements.unbalance_to < high:
@@ -570,4 +579,4 @@ def _assembled(
         unbalance_curve(plant_at, speeds, controller, residual, along.critical, law_at),
         name="unbalance.assembled_0p",
     )
-    return [stability, assembled_check(curve, requirements)], [curve]
+    return [*stability, assembled_check(curve, requirements)], [curve]

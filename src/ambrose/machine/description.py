@@ -523,6 +523,10 @@ class MachineDescription(Part):
         Ratio,
         "hysteretic damping of bending modes: a ratio of half of it",
     ] = 0.0
+    rotating_share: Annotated[
+        Ratio,
+        "share of that damping which turns with the rotor (internal damping), rayleigh_alpha apart",
+    ] = 0.0
     beam_theory: Annotated[str, Choice(BEAM_THEORIES), "theory of the shaft's beam elements"] = (
         "bernoulli-euler"
     )

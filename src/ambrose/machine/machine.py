@@ -29,7 +29,7 @@ RADIAL, THRUST = "radial", "thrust"  # groups of axes
 # keys of [machine]
 _HEAD = (
     *("name", "description", "source", "beam_theory", "modal_damping"),
-    *(*DAMPINGS, "gravity_direction"),
+    *(*DAMPINGS, "rotating_share", "gravity_direction"),
 )
 
 

@@ -312,10 +312,14 @@ def attached_rotor(
     N, S = np.hstack([N, -stators]), np.hstack([S, -fixed])
     rows = {p.name: row for p, row in zip(places, N, strict=True)}
 
-    # free modes and free supports: M = I, 2 zeta omega, omega^2
+    # free modes and free supports: M = I, 2 zeta omega, omega^2; what turns with the rotor couples
+    # x and y of a mode, which are neighbours
     mass = np.eye(count + len(base))
-    damping = np.diag([*2 * modes.damping_ratios(machine) * modes.frequencies, *base.damping])
+    braking, circulatory = modes.damping(machine, point.speed)
+    damping = np.diag([*braking, *base.damping])
     stiffness = np.diag([*modes.frequencies**2, *base.stiffness])
+    x, y = np.arange(0, count, 2), np.arange(1, count, 2)
+    stiffness[x, y], stiffness[y, x] = circulatory[x], -circulatory[y]
 
     # bearings: -k_s N^T N at every axis
     control = np.reshape([rows[axis] for axis in machine.axes], (-1, count + len(base)))

@@ -152,8 +152,13 @@ def joined(parts: list[Reaction]) -> Reaction:
 
 
 def speed_knots(machine: MachineDescription, low: float, high: float) -> tuple[float, ...]:
-    """Speeds between two [rad/s] at which a table of an effect or a seal of the machine bends."""
+    """Speeds between two [rad/s] at which a table of an effect or a seal of the machine bends, or
+    rotating damping turns over.
+    """
+    from ambrose.model.effects.rotor import turn_over_speeds
+
     known = {w for effect, part in parts_of(machine) for w in effect.knots(part)}
+    known |= turn_over_speeds(machine, high)
     known |= _seal_knots(machine, "speed")
     return tuple(sorted(w for w in known if low < w < high))
 

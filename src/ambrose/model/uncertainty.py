@@ -429,8 +429,22 @@ def _rotor_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
     modes = free_modes(plant.rotor_model, int(parameter.name.removeprefix(BENDING)))
     omega = float(modes.frequencies[-1])
     if parameter.quantity == "damping":
+        # c q' and the circulatory k q of the other plane go with the ratio, as one; at zero as what
+        # a ratio of 1 would be
         ratio = float(modes.damping_ratios(plant.machine)[-1])
-        return [Channel(f"F_{p}", ratio, ((f"qdot_{p}", -2 * omega),)) for p in ports]
+        c, k = (float(of[-1]) for of in modes.damping(plant.machine, plant.point.speed))
+        share = plant.machine.rotating_share
+        brakes, drives = (
+            (c / ratio, k / ratio) if ratio else (2 * omega, 2 * omega * share * plant.point.speed)
+        )
+        return [
+            Channel(
+                f"F_{p}",
+                ratio,
+                ((f"qdot_{p}", -brakes), *([(f"q_{other}", turn * drives)] if drives else [])),
+            )
+            for p, other, turn in zip(ports, reversed(ports), (-1.0, 1.0), strict=True)
+        ]
     return [
         channel
         for p in ports
@@ -610,12 +624,14 @@ def reduce(plant: Plant, bending_modes: int = 0, static_correction: bool = True)
 
 def reduce_from(plant: Plant, bending_modes: int) -> Plant:
     """``reduce`` with so many bending modes per plane, or up to three more where that would part
-    modes that coincide.
+    modes that coincide. Where all do, as the slow poles of modes that Rayleigh's beta overdamps
+    (near 1/beta), ``free_mode_reduction`` with the compliance of the others.
     """
-    for count in range(bending_modes, min(bending_modes + 3, bending_modes_of(plant.rotor_model))):
+    available = bending_modes_of(plant.rotor_model)
+    for count in range(bending_modes, min(bending_modes + 3, available) + 1):
         with suppress(NumericalFailure):
             return reduce(plant, count)
-    return reduce(plant, min(bending_modes + 3, bending_modes_of(plant.rotor_model)))
+    return free_mode_reduction(plant, min(bending_modes, available), residual=True)
 
 
 def default_bending_modes(plant: Plant) -> int:

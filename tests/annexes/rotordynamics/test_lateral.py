@@ -20,6 +20,7 @@ import ambrose as amb
 from ambrose.annexes.rotordynamics.analysis import (
     Points,
     judge_sensitivity,
+    layout_of,
     point_rows as rows_of_points,
 )
 from ambrose.annexes.rotordynamics.capacity import UNBALANCE, AxisCapacity
@@ -59,10 +60,11 @@ from ambrose.judge.unbalance import AxisLimits, Demand, together
 from ambrose.law.law import law_of
 from ambrose.law.loop import running_law, timing_of
 from ambrose.law.pid import pid_controller
-from ambrose.machine.description import OperatingPoint, Operation
+from ambrose.machine.description import OperatingPoint, Operation, Tolerance
 from ambrose.machine.file.toml import loads_machine
 from ambrose.machine.part import Seal, SealTable
 from ambrose.model.assemble import assemble
+from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
 from ambrose.model.effects.stations import IMPULSE, SURGE, Clearance
 from ambrose.registry import registered, resolve
 from coarse import coarse
@@ -1093,3 +1095,62 @@ def test_a_loop_that_a_run_up_loses_below_the_running_speed_fails():
     # as printed: the speed to 0.1 rpm, the real part to 0.1 1/s
     ends = [abscissa(w, np.interp(w, grid, of_seal)) for w in (rpm - 0.05, rpm + 0.05)]
     assert min(ends) - 0.05 <= real <= max(ends) + 0.05
+
+
+def test_the_response_over_the_tolerances_is_that_of_a_moved_machine():
+    """One tolerance: the larger of both ends, at the nominal's speed at least; the signal chain and
+    both unbalances are told.
+    """
+    path = "bearing.A.negative_stiffness"
+    machine = replace(
+        amb.load_machine("munich-rig"),
+        tolerances=(Tolerance(path, relative=0.2),),
+        gravity_direction=None,
+    )
+    law = pid_controller(machine.controller, machine)
+    found = amb.lateral(machine, law, "top speed")
+    rows = {item.name: item for item in found.items}
+    row, nominal = rows["vibration.tolerances"], rows["vibration"]
+    assert f"{path} " in row.note and "found, not proved" in row.note
+    ends = []
+    for side in (0.8, 1.2):
+        first, *others = machine.bearings
+        k_s = tuple(side * value for value in first.negative_stiffness)
+        moved = replace(
+            machine, bearings=(replace(first, negative_stiffness=k_s), *others), tolerances=()
+        )
+        # the same unbalance at the same place
+        layout, timing = lay_out(machine), timing_of(machine, law_of(law))
+        loop = shaft_loop(
+            layout_of(moved, layout),
+            replace(machine.operation.points[0], label=""),
+            law_of(law),
+            timing,
+        )
+        worst = 0.0
+        for case in found.response.cases:
+            x = loop.states(
+                1j * loop.point.speed, case.forces(len(layout.positions)) * loop.point.speed**2
+            )
+            for probe in layout.readings:
+                k = 2 * layout.nearest(probe.position)
+                at = np.array([np.cos(probe.direction), np.sin(probe.direction)])
+                if f'"{probe.name}", {case.name},' in row.note:
+                    worst = max(worst, 2e6 * abs(at @ (loop.read[k : k + 2] @ x)))
+        ends.append(worst)
+    assert row.value == pytest.approx(max(ends), rel=1e-6)
+    assert row.value > nominal.value
+    # what a reader needs to compute it anew
+    chain = found.to_dict()["signal_chain"]
+    assert [item["position_m"] for item in chain["sensors"]] == [0.071, 0.155, 0.581, 0.665]
+    assert chain["amplifier"]["order"] == "first"
+    gain = chain["controller"]["gain_A_per_m"]["A_zeta"]
+    assert gain[0] == pytest.approx(5000, rel=0.01) and chain["controller"]["sample_time_s"] == 1e-4
+    page = lateral_page(found)
+    titles = [table.title for section in page.sections for table in section.tables]
+    assert "Sensors and amplifier" in titles
+    # twice 6350 W/N in every plane, of all planes m G/W_b
+    (words,) = (note for note in found.notes if note.startswith("Unbalance here"))
+    mass = mass_properties(finite_element_rotor(machine)).mass
+    verify = mass * 6.3e-3 / (2000 * RPM) * 1e6
+    assert f"Of ambrose verify: {verify:.4g} g mm, G6.3 at 2000 rpm" in words

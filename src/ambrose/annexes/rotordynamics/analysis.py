@@ -30,8 +30,14 @@ from ambrose.annexes.rotordynamics.placement import (
     shaft_modes,
     span_middle,
 )
-from ambrose.annexes.rotordynamics.response import Solve, UnbalanceResponse, reach, respond
-from ambrose.annexes.rotordynamics.result import OWN, Item, Lateral, ModeRow
+from ambrose.annexes.rotordynamics.response import (
+    Solve,
+    UnbalanceResponse,
+    reach,
+    respond,
+    without_block,
+)
+from ambrose.annexes.rotordynamics.result import OWN, Control, Item, Lateral, ModeRow
 from ambrose.annexes.rotordynamics.stations import Layout, lay_out, rigid_support_critical
 from ambrose.chain.check import clearance_doubts
 from ambrose.core.checks import InvalidInput, NumericalFailure, invalid, names_wrong_types
@@ -40,7 +46,7 @@ from ambrose.judge.nominal import check_sensitivity
 from ambrose.judge.plants import Progress, judge_stability
 from ambrose.judge.result import Synthesis
 from ambrose.judge.synchronous import VANISHED, BlockLoop, block_loops, check_block
-from ambrose.judge.unbalance import together
+from ambrose.judge.unbalance import orbit, together
 from ambrose.law.law import Law, LawLike, law_of
 from ambrose.law.loop import Timing, running_law, timing_of
 from ambrose.law.synchronous import at_bearings
@@ -251,6 +257,60 @@ def least_decrements(loop: ShaftLoop, table: tuple[ModeRow, ...]) -> tuple[ModeR
         replace(row, least=float(value), member=words)
         for row, (value, words) in zip(table, best, strict=True)
     )
+
+
+_OVER_RANGE = 25  # speeds at which the corner's response is computed
+
+
+def largest_over_tolerances(
+    loop_at: Callable[[float], ShaftLoop],
+    response: UnbalanceResponse,
+    nominal: rows.Reading,
+    speeds: tuple[float, float],
+) -> tuple[rows.Reading, str]:
+    """The largest reading found over the tolerances, of the probe and placement of the nominal one,
+    and the member that has it: both ends of each tolerance at its speed, then the corner to which
+    all of them pull at speeds over the running range [rad/s].
+    """
+    layout, stations = response.layout, len(response.layout.positions)
+    case = next(item for item in response.cases if item.name == nominal.case)
+    forces = case.forces(stations)
+    # a rotor without probes is read at its journals, along the major axis
+    places: dict[str, tuple[float, float | None]] = {}
+    if not layout.readings:
+        places = {j.name: (j.position, None) for j in layout.journals}
+    places |= {item.name: (item.position, item.direction) for item in layout.readings}
+    position, direction = places[nominal.probe]
+    station = layout.nearest(position)
+    best = nominal, "nominal"
+
+    def read(speed: float, member: dict[str, float]) -> float | None:
+        moved = _moved(loop_at(speed), member)
+        if moved is None:
+            return None
+        states, _ = without_block(moved, forces * speed**2)
+        x, y = moved.read[2 * station : 2 * station + 2] @ states
+        if direction is None:
+            return float(2 * orbit(x, y))
+        return float(2 * abs(x * np.cos(direction) + y * np.sin(direction)))
+
+    def note(speed: float, member: dict[str, float]) -> float | None:
+        nonlocal best
+        value = read(speed, member)
+        if value is not None and value > best[0].peak_to_peak:
+            words = ", ".join(f"{name} {side:+g}" for name, side in member.items())
+            best = replace(nominal, peak_to_peak=value, speed=speed), words
+        return value
+
+    corner: dict[str, float] = {}
+    for tolerance in response.layout.machine.tolerances:
+        name = tolerance.parameter
+        low, high = (note(nominal.speed, {name: side}) for side in (-1.0, 1.0))
+        if low is not None and high is not None and low != high:
+            corner[name] = float(np.sign(high - low))
+    for speed in np.union1d(np.linspace(*speeds, _OVER_RANGE), nominal.speed) if corner else ():
+        note(float(speed), corner)
+    return best
 
 
 def _moved(loop: ShaftLoop, member: dict[str, float]) -> ShaftLoop | None:
@@ -545,6 +605,7 @@ def lateral(
         layout=layout,
         critical_map=undamped,
         density=density,
+        control=None if law is None else _control(at_top),
     )
     progress("how far the response goes")
     knots = speed_knots(machine, slowest, math.inf)
@@ -584,6 +645,11 @@ def lateral(
     whole = respond(layout, loop_at, cases, slowest, far.end, progress, through=far.through)
     response = whole.upto(trip)
     reading = largest_reading(response, lowest, highest)
+    widest: tuple[Item, ...] = ()
+    if tolerances and machine.tolerances:
+        progress("unbalance response over the tolerances")
+        found_reading, member = largest_over_tolerances(loop_at, whole, reading, (lowest, highest))
+        widest = (rows.vibration_over_tolerances(found_reading, member, lowest, highest),)
     limit = standard.vibration_limit(highest / standard.RPM)
     # S_cc = A_vl/A_max
     largest = 1e6 * reading.peak_to_peak  # [um]
@@ -622,6 +688,7 @@ def lateral(
         *rows.undamped(undamped),
         rows.reached(far, whole, highest),
         *rows.unbalance(whole, reading, (lowest, highest), scale),
+        *widest,
         *rows.clearances(found),
         *rows.level_one(one, density, why),
         *rows.level_two(table, highest, law is not None),
@@ -634,6 +701,8 @@ def lateral(
         *blocks_on,
         *rows.not_covered(machine),
     )
+    if words := rows.unbalance_of_both(machine, cases, highest):
+        notes = (*notes, words)
     if machine.bearings and machine.gravity_direction is None:
         notes = (*notes, _WEIGHTLESS)
     if running is None:
@@ -666,6 +735,16 @@ def _listed_to(loop: ShaftLoop, near: float) -> float:
     bending = free_bending(loop.plant.machine)[: standard.BENDING_LISTED]
     beyond = [standard.BEYOND_BENDING * float(bending[-1])] if len(bending) else []
     return max(near, min(nyquist, *beyond, math.inf))
+
+
+def _control(loop: ShaftLoop) -> Control:
+    """The controller as it runs at an operating point, up to 0.45 of its sample rate."""
+    law = loop.law
+    states, dt = (0, None) if law is None else (law.n_states, law.dt)
+    hertz = np.outer([1.0, 10.0, 100.0, 1000.0], [1.0, 2.0, 5.0]).ravel()
+    omega = 2 * np.pi * (hertz if dt is None else hertz[hertz * dt <= 0.45])
+    gain = np.array([np.diag(loop.gain(1j * w)) for w in omega])
+    return Control(loop.plant.axes, states, dt, omega, gain)
 
 
 def _timing_in_words(law: LawLike | None, timing: Timing | None) -> str:

@@ -296,6 +296,21 @@ def lateral_schema() -> dict[str, Any]:
         crossings=_list(crossing),
     )
     branch = _table(frequency_rad_per_s=_NUMBER, log_decrement=_list(_NUMBER))
+    by_axis = {"type": "object", "additionalProperties": _list(_NUMBER)}
+    control = _table(
+        states={"type": "integer"},
+        sample_time_s=_MAYBE,
+        frequencies_rad_per_s=_list(_NUMBER),
+        gain_A_per_m={**by_axis, "description": "of each axis alone, delay and hold included"},
+        phase_deg=by_axis,
+    )
+    sensor = _table(
+        bearing=_TEXT,
+        position_m=_NUMBER,
+        angle_rad=_NUMBER,
+        weight=_NUMBER,
+        bandwidth_rad_per_s=_MAYBE,
+    )
     whole = _table(
         schema={"const": SCHEMA},
         machine=_TEXT,
@@ -313,6 +328,11 @@ def lateral_schema() -> dict[str, Any]:
         phase_budget=_list(budget),
         capacity=_list(capacity),
         notes=_list(_TEXT),
+        signal_chain=_table(
+            sensors=_list(sensor),
+            amplifier={"type": "object", "description": "as in the machine file, SI"},
+            controller=control,
+        ),
         critical_speed_map=undamped,
         level_one=_table(
             anticipated_N_per_m=_MAYBE,
@@ -342,8 +362,8 @@ def lateral_schema() -> dict[str, Any]:
         ),
         response=_table(speeds_rad_per_s=_list(_POSITIVE), curves=_list(curve)),
     )
-    # what an unstable loop, or a rotor without Level I, does not have
-    missing = {"level_one", "unbalance", "critical_speeds", "response"}
+    # what an unstable loop, a rotor without Level I or one without a controller does not have
+    missing = {"level_one", "unbalance", "critical_speeds", "response", "signal_chain"}
     whole["required"] = [key for key in whole["required"] if key not in missing]
     head = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

@@ -21,6 +21,7 @@ from ambrose.annexes.rotordynamics.capacity import (
 from ambrose.annexes.rotordynamics.critical_map import CriticalMap
 from ambrose.annexes.rotordynamics.levels import OVERDAMPED, LevelOne
 from ambrose.annexes.rotordynamics.loop import CONTROLLER, PhaseBudget, ShaftLoop
+from ambrose.annexes.rotordynamics.placement import UnbalanceCase
 from ambrose.annexes.rotordynamics.response import (
     Reach,
     Separation,
@@ -36,7 +37,7 @@ from ambrose.law.loop import DEFAULT, STATE_RATE, Timing
 from ambrose.machine.criteria import demand
 from ambrose.machine.machine import Machine
 from ambrose.model.effects.stations import IMPULSE, SURGE
-from ambrose.model.static_load import sag_line
+from ambrose.model.static_load import residual_unbalance, sag_line
 
 # Motion at everything that must not touch, and at the vibration probes.
 
@@ -199,6 +200,40 @@ def vibration(
         UM * reading.peak_to_peak <= limit,
         f'probe "{reading.probe}", {reading.case}, at {standard.rpm(reading.speed)} rpm; with '
         "twice the residual unbalance",
+    )
+
+
+def vibration_over_tolerances(reading: Reading, member: str, lowest: float, highest: float) -> Item:
+    """The largest reading that a search over the tolerances found."""
+    limit = standard.vibration_limit(highest / standard.RPM)
+    return Item(
+        "vibration.tolerances",
+        "Largest probe reading found within the tolerances",
+        "Ambrose",
+        "search: both ends of each tolerance, then the steepest corner over the running range",
+        OWN,
+        UM * reading.peak_to_peak,
+        "um p-p",
+        "<=",
+        limit,
+        UM * reading.peak_to_peak <= limit,
+        f'probe "{reading.probe}", {reading.case}, at {standard.rpm(reading.speed)} rpm: {member}; '
+        "found, not proved",
+    )
+
+
+def unbalance_of_both(machine: Machine, cases: Sequence[UnbalanceCase], highest: float) -> str:
+    """How the unbalance here compares with that of ``ambrose verify``, in words."""
+    residual = residual_unbalance(machine)
+    if residual is None:
+        return ""
+    # G = U W/m, here of all that a placement carries, with its doubling
+    here = max(sum(w.amount for w in case.weights) for case in cases)
+    grade = 1e3 * here * highest / residual.mass
+    return (
+        f"Unbalance here, all planes: up to {here / 1e-6:.4g} g mm, G{grade:.3g} at "
+        f"{standard.rpm(highest)} rpm. Of ambrose verify: {residual.moment / 1e-6:.4g} g mm, "
+        f"G{1e3 * residual.grade:.3g} at {standard.rpm(residual.speed)} rpm."
     )
 
 

@@ -297,17 +297,13 @@ def shares(loop: ShaftLoop, mode: ShaftMode) -> tuple[Share, ...]:
     q = x[:count]  # modal displacements: the plant's first states
     stiffness = np.concatenate([modes.frequencies**2, base.stiffness])
     energy = float((abs(s) ** 2 * np.abs(q) ** 2 + stiffness * np.abs(q) ** 2).sum()) / 4
-    power = {
-        INTERNAL: -float(
-            (
-                2
-                * modes.damping_ratios(machine)
-                * modes.frequencies
-                * np.abs(s * q[: len(modes.frequencies)]) ** 2
-            ).sum()
-        )
-        / 2
-    }
+    # -Re(q'^H (c q' + k [[0, 1], [-1, 0]] q))/2 of every mode
+    damping, circulatory = modes.damping(machine, loop.point.speed)
+    own = q[: len(damping)]
+    turned = np.empty_like(own)
+    turned[0::2], turned[1::2] = own[1::2], -own[0::2]
+    resisting = damping * s * own + circulatory * turned
+    power = {INTERNAL: -float(np.real((s * own).conj() @ resisting)) / 2}
     if len(base):
         power["supports"] = -float((base.damping * np.abs(s * q[-len(base) :]) ** 2).sum()) / 2
 

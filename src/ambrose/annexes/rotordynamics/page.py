@@ -42,6 +42,16 @@ _MARKERS = {UNBALANCE: "circle", PART: "circle-open", IMPULSE: "diamond", SURGE:
 _KINDS = {PART: "contribution of seals and stages"}
 _SHADES = ("#d55e00", "#009e73", "#cc79a7", "#e69f00")
 _FAR = 3.0  # a limit this many times above the readings would press them to the ground
+# what an amplifier may state, its unit and that in SI
+_DRIVE = (
+    ("bandwidth", "Hz", 2 * np.pi),
+    ("eddy_bandwidth", "Hz", 2 * np.pi),
+    ("natural_frequency", "Hz", 2 * np.pi),
+    ("damping", "1/s", 1.0),
+    ("resistance", "ohm", 1.0),
+    ("inductance", "mH", 1e-3),
+    ("max_voltage", "V", 1.0),
+)
 _EVERY = 5  # of the fine grid: enough for the eye
 # [px], of a narrow page: plot of the response, a letter and a line of its words
 _WIDE, _HIGH = 600.0, 200.0
@@ -598,7 +608,8 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
         facts = (*facts, ("Gas density", given))
     words = verdict_words(result)
     drawing = Figure("Rotor and its parts", machine_drawing(result.machine))
-    opening = Section("Rotor", "", (drawing,), (rotor_table(result),))
+    tables = (rotor_table(result), *signal_tables(result))
+    opening = Section("Rotor", "", (drawing,), tables)
     summary, *rest = sections
     ordered = (summary, opening, *rest)
     summary = replace(summary, tables=(summary_table(result, ordered),))
@@ -670,6 +681,51 @@ def rotor_table(result: Lateral) -> Table:
     ]
     note = "Bearings: static share of the rotor's mass, for a horizontal rotor."
     return Table("Rotor", ("Quantity", "Value"), tuple(rows), note)
+
+
+def signal_tables(result: Lateral) -> tuple[Table, ...]:
+    """The sensors with the amplifier, and the controller as it runs."""
+    control = result.control
+    if control is None:
+        return ()
+    rows: list[Row] = [
+        (
+            f"Sensors of {item.bearing}",
+            *numbers(
+                f"{1e3 * item.position:.5g}",
+                f"{np.degrees(item.angle or 0.0):.4g}",
+                f"{item.weight:.3g}",
+                "no lag" if item.bandwidth is None else f"{item.bandwidth / (2 * np.pi):.4g} Hz",
+            ),
+        )
+        for item in result.machine.sensor_pairs
+    ]
+    drive = result.machine.amplifier
+    stated = [
+        f"{name.replace('_', ' ')} {value:.4g} {unit}"
+        for name, unit, scale in _DRIVE
+        if (found := getattr(drive, name)) is not None
+        for value in (found / scale,)
+    ]
+    note = f"Amplifier: order {', '.join([f'{chr(34)}{drive.order}{chr(34)}', *stated])}."
+    heads = ("Pair", "Position [mm]", "First sensor at [deg]", "Weight", "First-order lag")
+    gains: tuple[Row, ...] = tuple(
+        (
+            f"{w / (2 * np.pi):.4g} Hz",
+            *numbers(*(f"{abs(k) / 1e3:.3g}, {np.degrees(np.angle(k)):.0f}°" for k in row)),
+        )
+        for w, row in zip(control.omega, control.gain, strict=True)
+    )
+    paced = "continuous" if control.sample_time is None else f"{1 / control.sample_time:.5g} Hz"
+    words = (
+        f"{result.controller}: {control.states} states, {paced}; delay and hold are included. "
+        "Couplings between axes are not listed."
+    )
+    columns = ("Frequency", *control.axes)
+    return (
+        Table("Sensors and amplifier", heads, tuple(rows), note),
+        Table("Controller, gain [A/mm] and phase of every axis", columns, gains, words),
+    )
 
 
 def phase_table(budget: PhaseBudget) -> Table:

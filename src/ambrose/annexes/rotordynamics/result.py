@@ -123,6 +123,35 @@ class Rub:
         return self.motion + 2 * self.offset <= self.allowed
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Control:
+    """The controller as it runs, with delay and hold.
+
+    states; sample_time [s], None: continuous; omega (w,) [rad/s] and gain (w, a) [A/m]: from the
+    displacement that the sensors of an axis read to its current, current = -gain displacement.
+    """
+
+    axes: tuple[str, ...]
+    states: int
+    sample_time: float | None
+    omega: np.ndarray
+    gain: np.ndarray
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "states": self.states,
+            "sample_time_s": self.sample_time,
+            "frequencies_rad_per_s": self.omega.tolist(),
+            "gain_A_per_m": {
+                axis: np.abs(row).tolist() for axis, row in zip(self.axes, self.gain.T, strict=True)
+            },
+            "phase_deg": {
+                axis: np.degrees(np.angle(row)).tolist()
+                for axis, row in zip(self.axes, self.gain.T, strict=True)
+            },
+        }
+
+
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Lateral(Presented):
     """A machine's lateral analysis.
@@ -154,6 +183,7 @@ class Lateral(Presented):
     phase_budgets: tuple[PhaseBudget, ...] = ()
     critical_map: CriticalMap | None = None
     density: float | None = None
+    control: Control | None = None
     modes_to: float = 0.0
 
     @property
@@ -228,6 +258,21 @@ class Lateral(Presented):
             "capacity": [_capacity(axis) for axis in self.capacities],
             "notes": list(self.notes),
         }
+        if self.control is not None:
+            data["signal_chain"] = {
+                "sensors": [
+                    {
+                        "bearing": item.bearing,
+                        "position_m": item.position,
+                        "angle_rad": item.angle,
+                        "weight": item.weight,
+                        "bandwidth_rad_per_s": item.bandwidth,
+                    }
+                    for item in self.machine.sensor_pairs
+                ],
+                "amplifier": self.machine.amplifier.to_dict(),
+                "controller": self.control.to_dict(),
+            }
         if self.critical_map is not None:
             data["critical_speed_map"] = _map(self.critical_map)
         if self.level_one is not None:

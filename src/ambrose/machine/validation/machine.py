@@ -744,10 +744,43 @@ def _whole(machine: MachineDescription) -> Iterator[str]:
             f"left out beside {given}",
             "state the damping in one way; [[bending_mode]] has that of single modes",
         )
+    yield from _rotating(machine)
     if machine.beam_theory not in BEAM_THEORIES:
         known = f"one of {', '.join(BEAM_THEORIES)}"
         yield complaint(
             "[machine]", "beam_theory", shown(machine.beam_theory), known, "choose one of them"
+        )
+
+
+def _rotating(machine: MachineDescription) -> Iterator[str]:
+    share = machine.rotating_share
+    turning = any(
+        [
+            *(getattr(machine, key) for key in DAMPINGS[1:]),
+            not machine.rayleigh_alpha and machine.modal_damping,
+            *(mode.damping for mode in machine.bending_modes),
+        ]
+    )
+    if not 0 <= share <= 1:
+        remedy = "1 where all damping is inside the rotor"
+        yield complaint("[machine]", "rotating_share", f"{share:g}", "from 0 to 1", remedy)
+    elif share and not turning:
+        yield complaint(
+            "[machine]",
+            "rotating_share",
+            f"{share:g}",
+            "0 where no damping can turn with the rotor",
+            "state modal_damping, rayleigh_beta or loss_factor; rayleigh_alpha acts against the "
+            "surroundings",
+        )
+    elif share and machine.loss_factor and by_table(machine.effects).get("journal_bearing"):
+        yield complaint(
+            "[machine]",
+            "loss_factor",
+            f"{machine.loss_factor:g}",
+            "0 beside rotating_share and a [[journal_bearing]]",
+            "state rayleigh_beta: a loss factor turns over at the free rotor's frequencies, which "
+            "stiff bearings change",
         )
 
 

@@ -34,6 +34,9 @@ _PLANES = {"x": (0, 3, 1.0), "y": (1, 2, -1.0)}
 _SMALL_MESH = 200  # elements, up to which four times as many are quickly solved
 _RESIDUAL_SHIFT = 0.01  # of the first bending mode's square
 _DEPENDENT = 1e-8  # of a load's own part of the residual displacements, below which it has none
+# of a mode's frequency, to either side: spin speeds within which hysteretic rotating damping turns
+# over from braking to driving; assumed, a step in the theory
+TURN_OVER = 0.02
 _NOTHING = 1e-10  # of a load, below which its part in the residual modes is rounding
 # rotations at both ends, of their difference and their sum
 _CHORD = 0.5 * np.array([[-1.0, 1.0], [1.0, 1.0]])
@@ -127,18 +130,80 @@ class FreeModes:
         """Of every mode (4 + 2 n,): what was measured, else Rayleigh's and hysteretic damping, else
         modal_damping. Rigid modes, of frequency 0, have none; compliances have 1/sqrt(2).
         """
+        return self._ratios(machine).sum(axis=0)
+
+    def damping(self, machine: MachineDescription, speed: float) -> tuple[np.ndarray, np.ndarray]:
+        """Of every mode at a spin speed [rad/s]: damping c (n,) [rad/s] and circulatory stiffness
+        k (n,) [rad2/s2], c q' + k [[0, 1], [-1, 0]] q in x and y (``rotating_force``).
+        """
+        still = 2 * self.frequencies * self.damping_ratios(machine)
+        if not machine.rotating_share:
+            return still, np.zeros(len(still))
+        # by a unit velocity and a unit displacement along x
+        parts = [*zip(self.frequencies.tolist(), self.rotating(machine).tolist(), strict=True)]
+        less = [rotating_force((0, 0), (1, 0), speed, w, (a, b))[0] for w, (a, b) in parts]
+        drives = [rotating_force((1, 0), (0, 0), speed, w, (a, b))[1] for w, (a, b) in parts]
+        return still - less, np.array(drives)
+
+    def rotating(self, machine: MachineDescription) -> np.ndarray:
+        """The damping [rad/s] that turns with the rotor (n, 2): viscous, and hysteretic at rest."""
+        parts = self._ratios(machine)[1:] * machine.rotating_share
+        return np.asarray(2 * self.frequencies * parts).T
+
+    def _ratios(self, machine: MachineDescription) -> np.ndarray:
+        """Damping ratios (3, n): against the surroundings alone, viscous and hysteretic ones, which
+        may turn with the rotor.
+        """
         # C = alpha M + beta K: 2 zeta w = alpha + beta w^2; loss factor: K (1 + j eta) at s = j w
         alpha, beta = machine.rayleigh_alpha, machine.rayleigh_beta
         eta = machine.loss_factor
         w = np.where(self.frequencies > 0, self.frequencies, np.inf)
-        ratios = np.full(len(w), machine.modal_damping)
+        ratios = np.zeros((3, len(w)))
+        ratios[1] = machine.modal_damping
         if alpha or beta or eta:
-            ratios = alpha / (2 * w) + beta * self.frequencies / 2 + eta / 2
+            ratios[0], ratios[1] = alpha / (2 * w), beta * self.frequencies / 2
+            ratios[2] = eta / 2
         for mode in machine.bending_modes:
             if mode.damping is not None:
-                ratios[2 + 2 * mode.number : 4 + 2 * mode.number] = mode.damping
-        ratios[len(ratios) - self.compliance :] = np.sqrt(0.5)
+                of_mode = slice(2 + 2 * mode.number, 4 + 2 * mode.number)
+                ratios[:, of_mode] = np.array([[0.0], [mode.damping], [0.0]])
+        compliances = slice(len(w) - self.compliance, None)
+        ratios[:, compliances] = np.array([[np.sqrt(0.5)], [0.0], [0.0]])
         return ratios
+
+
+def turn_over_speeds(machine: MachineDescription, highest: float) -> set[float]:
+    """Between which speeds [rad/s] the hysteretic rotating damping of bending modes up to
+    ``highest`` [rad/s] turns over.
+    """
+    if not (machine.loss_factor and machine.rotating_share):
+        return set()
+    rotor = finite_element_rotor(machine)
+    modes = free_modes(rotor, min(2 * rotor.n_nodes - 2, FINE_MESH_MODES))
+    w = modes.frequencies[modes.rotating(machine)[:, 1] > 0]
+    return {float(x) for side in (-1, 0, 1) for x in w[w <= highest] * (1 + side * TURN_OVER)}
+
+
+def rotating_force(
+    place: tuple[float, float],
+    velocity: tuple[float, float],
+    speed: float,
+    w: float,
+    known: tuple[float, float],
+) -> tuple[float, float]:
+    """What the spin changes of a mode's damping force: (fx, fy) on its coordinates in x and y.
+
+    place: x and y, velocity: x' and y', spin speed [rad/s], the mode's frequency w [rad/s]; known:
+    viscous and hysteretic rotating damping at rest [rad/s] (``FreeModes.rotating``). What turns
+    with the rotor sees z' - j W z of z = x + j y in place of z': viscous c z' drives with j W c z
+    (Genta 2005, sec. 3.3). A loss factor gives w^2 (1 +- j eta), + for whirl faster than the spin:
+    eta w z' below w, -j eta w^2 z above, turned over within ``TURN_OVER``.
+    """
+    less = 0.0
+    if w > 0.0:
+        less = known[1] * min(max(0.5 + 0.5 * (speed / w - 1.0) / TURN_OVER, 0.0), 1.0)
+    k = speed * known[0] + w * less
+    return less * velocity[0] - k * place[1], less * velocity[1] + k * place[0]
 
 
 def finite_element_rotor(machine: MachineDescription) -> Rotor:

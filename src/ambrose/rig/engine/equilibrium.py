@@ -197,7 +197,8 @@ def _built(
 
     # 5. F, in this order: magnets (2 b), then if the speed varies unbalance (2) and modal forces (2
     # p), then if the seals vary theirs (2 each). y: displacements at the bearings (2 b), currents
-    # (a), modal velocities (2 p), per seal displacement, velocity and states.
+    # (a), modal velocities (2 p), with rotating damping modal displacements (2 p), per seal
+    # displacement, velocity and states.
     forces, outputs = [pushes[:b].reshape(2 * b, -1)], [places[:b].reshape(2 * b, -1), currents]
     unbalance = np.zeros((0, rig.states))
     if len(drive.unbalance):
@@ -210,6 +211,7 @@ def _built(
     if turns:
         forces.append(modal)
         outputs.append(np.eye(rig.states)[n : n + 2 * p])
+        outputs.append(np.eye(rig.states)[: 2 * len(k.rotating)])
     if varies:
         lags = 2 * k.seal_lags.shape[1]
         for i in range(len(k.seal_lags)):

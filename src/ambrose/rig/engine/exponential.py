@@ -18,6 +18,7 @@ from ambrose.rig.engine.products import (
     magnet_force,
     merged,
     products,
+    rotating_force,
     seal_force,
     state_force,
     turning_force,
@@ -103,7 +104,7 @@ def _add_force(rig: Any, drive: Any, P: Any, k: int, tau: float, start: Any, F: 
         F[at], F[at + 1] = fx - start[0], fy - start[1]
         at += 2
     if P.turns:
-        # gyroscopic moments of the speed beyond the propagator's
+        # gyroscopic moments and rotating damping of the speed beyond the propagator's
         p, over = rig.stiffness.shape[0], speed - P.speed
         for j in range(p):
             gx, gy = 0.0, 0.0
@@ -111,7 +112,15 @@ def _add_force(rig: Any, drive: Any, P: Any, k: int, tau: float, start: Any, F: 
                 gx += rig.gyroscopic[j, m] * y[out + 2 * m]
                 gy += rig.gyroscopic[j, m] * y[out + 2 * m + 1]
             F[at + 2 * j], F[at + 2 * j + 1] = -over * gy, over * gx
-        at, out = at + 2 * p, out + 2 * p
+        for j in range(rig.rotating.shape[0]):
+            v, q = out + 2 * j, out + 2 * p + 2 * j
+            turning = (rig.rotating[j, 0], rig.rotating[j, 1])
+            w = math.sqrt(rig.stiffness[j])
+            fx, fy = rotating_force((y[q], y[q + 1]), (y[v], y[v + 1]), speed, w, turning)
+            gx, gy = rotating_force((y[q], y[q + 1]), (y[v], y[v + 1]), P.speed, w, turning)
+            F[at + 2 * j] += fx - gx
+            F[at + 2 * j + 1] += fy - gy
+        at, out = at + 2 * p, out + 2 * p + 2 * rig.rotating.shape[0]
     if P.seals:
         lags, long = rig.seal_lags.shape[1], drive.seal.shape[0] > 1
         for i in range(drive.seal.shape[1]):

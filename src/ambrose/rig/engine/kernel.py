@@ -11,6 +11,7 @@ inputs.py.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,6 +37,7 @@ from ambrose.rig.engine.products import (
     merged,
     mount_force,
     race_drag,
+    rotating_force,
     runout,
     seal_force,
     seal_lag,
@@ -352,6 +354,14 @@ def _accelerate(rig: Any, work: Any, drive: Any, k: int, speed: float, z: Any, d
                 gy += rig.gyroscopic[j, m] * z[n + 2 * m + 1]
             dz[n + 2 * j] -= speed * gy
             dz[n + 2 * j + 1] += speed * gx
+        # damping that turns with the rotor
+        for j in range(rig.rotating.shape[0]):
+            a, b = n + 2 * j, n + 2 * j + 1
+            known = (rig.rotating[j, 0], rig.rotating[j, 1])
+            w = math.sqrt(rig.stiffness[j])
+            fx, fy = rotating_force((z[2 * j], z[2 * j + 1]), (z[a], z[b]), speed, w, known)
+            dz[a] += fx
+            dz[b] += fy
 
     # added mass M of seals and effects: (I + M)^-1 times the accelerations so far
     if drive.mass_inverse.shape[0]:

@@ -33,6 +33,7 @@ from ambrose.machine.ordinary_file import claimed
 from ambrose.model.effects import (
     amplifier,
     magnet,
+    rotor,
     seal,
     seal_rational,
     sensor,
@@ -164,6 +165,7 @@ seal_force = compiled(seal.force)
 state_force = compiled(seal_rational.force)
 seal_lag = compiled(seal_rational.lag)
 turning_force = compiled(unbalance.force)
+rotating_force = compiled(rotor.rotating_force)
 runout = compiled(sensor.runout)
 indicated = compiled(sensor.indicated)
 lag = compiled(sensor.lag)

@@ -24,6 +24,7 @@ from ambrose.model.effect import joined, reactions
 from ambrose.model.effects import (
     amplifier,
     magnet,
+    rotor as rotors,
     seal,
     seal_rational,
     sensor,
@@ -54,6 +55,8 @@ class Constants(NamedTuple):
 
     stiffness: np.ndarray  # (p,) squared frequencies of the free rotor [rad2/s2]
     damping: np.ndarray  # (p,) 2 zeta omega [rad/s]
+    # (p, 2) of that what turns with the rotor, viscous and hysteretic, or (0, 2)
+    rotating: np.ndarray
     gyroscopic: np.ndarray  # (p, p) g in G = g (x) [[0, 1], [-1, 0]] [-]
     shape: np.ndarray  # (S, p) modal deflection at the stations [1/sqrt(kg)]
     sensor_shape: np.ndarray  # (c / 2, p) of every sensor pair; c sensors
@@ -229,6 +232,7 @@ def build(
     constants = Constants(
         stiffness=frequencies**2,
         damping=2 * modes.damping_ratios(machine)[0::2] * frequencies,
+        rotating=modes.rotating(machine)[0::2] if machine.rotating_share else np.zeros((0, 2)),
         gyroscopic=np.ascontiguousarray(gyroscopic_of(rotor, modes)[0::2, 1::2]),
         shape=shapes,
         sensor_shape=_deflections(rotor, [port.position for port in sensed[0::2]], modes.shapes),
@@ -372,7 +376,7 @@ def compiled() -> tuple[Any, Any]:
         products as inlined,
     )
 
-    physics = (amplifier, magnet, seal, seal_rational, sensor, touchdown, unbalance)
+    physics = (amplifier, magnet, rotors, seal, seal_rational, sensor, touchdown, unbalance)
     modules = (rig_kernel, axial_kernel, exponential, inlined, products, sampled, *physics)
     digest = hashlib.sha256()
     for module in modules:
