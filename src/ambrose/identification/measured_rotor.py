@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.response import SystemDerivative
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.output_error.loop_model import LoopModel, loop_model
@@ -154,7 +153,8 @@ class Layout:
     def prior(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What is known before, (q,), and its precision: the paths' values are of the size of the
         file's, every gamma is small, a damping ratio
-        within a decade or two of a steel shaft's, and a compliance stays what it is.
+        within a decade or two of a steel shaft's, a frequency near where it began, and a
+        compliance stays what it is.
         """
         known, precision = np.zeros(len(theta)), np.zeros(len(theta))
         stated = np.array(self.values)
@@ -164,6 +164,7 @@ class Layout:
             first = self.mode(k).start
             if tie is not None:
                 precision[first + 2 + self.whirling + tie[1]] = _APART**-2
+            known[first], precision[first] = theta[first], 1.0
             known[first + 1], precision[first + 1] = np.log(_DAMPING), _DECADES**-2
             if k >= self.true_modes:
                 known[first : first + 2] = np.log(
@@ -331,19 +332,16 @@ class MeasuredLoop:
             dA[k], dB[k], dC[k] = (
                 (new - old) / step for new, old in zip(moved[:3], own, strict=True)
             )
+        A, B, C = own
         names = self.excitations, self.signals
-        model = LoopModel(theta[:q], *own, dA, dB, self.controller, *names, np.ones(q))
-        try:
-            with np.errstate(over="ignore", invalid="ignore"):  # said by the failure
-                closed, directions = model.loop(theta[:q])
-        except NumericalFailure as error:  # no such machine: a place of which nothing can be told
-            raise InvalidInput(str(error)) from None
+        model = LoopModel(theta[:q], A, B, C, dA, dB, self.controller, *names, np.ones(q))
+        closed, directions = model.loop(theta[:q])
 
         # what the rows of y do beside: B_u = Gamma, x+ -= B_u D_K dC x, z+ -= B_K dC x
-        n, K = len(own[0]), self.controller
+        n, K = len(A), self.controller
         a = len(K.outputs)
         held = closed.B[:n, :a]
-        for k in np.flatnonzero(np.abs(dC).max(axis=(1, 2), initial=0.0)):
+        for k in np.flatnonzero(np.abs(dC).max(axis=(1, 2), initial=0.0)).tolist():
             change = directions[k].A.copy()
             change[:n, :n] -= held @ K.D @ dC[k][:a]
             change[n:, :n] -= K.B @ dC[k][:a]

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.linalg import schur
 from scipy.optimize import minimize as optimise, nnls
 
-from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
 from ambrose.core.frequency import frequency_response, solve_shifted, times
 from ambrose.core.statespace import balance_matrix, poles
 from ambrose.identification.data_quality.signals import point_findings
@@ -325,13 +325,13 @@ def _without_drawing(
         )
     plant = assemble(machine, point)
     law = deployed_controller(plant, controller, sample_time, delay)
-    signals = (tuple(f"{kind}_{axis}" for axis in plant.axes) for kind in "ey")
     weightless = replace(machine, gravity_direction=None)  # theta has what holds at the load
     nominal = nominal_values(plant, paths)
     values = start_values(paths, nominal, start)
     places = body.places or places_of(machine)
     layout = Layout(weightless, point, paths, places, tuple(values.tolist()))
-    model = MeasuredLoop(layout, law, *signals)
+    e, y = (tuple(f"{kind}_{axis}" for axis in plant.axes) for kind in "ey")
+    model = MeasuredLoop(layout, law, e, y)
     theta = layout.begin(values)
     for mode in machine.bending_modes:
         turns = mode.gyroscopic[: layout.whirling]
@@ -394,11 +394,18 @@ def _without_drawing(
     )
 
 
+def _measured(problem: Problem, layout: Layout) -> MeasuredLoop:
+    """The problem's loop with another layout of its rotor."""
+    model = problem.loop.model
+    assert isinstance(model, MeasuredLoop)
+    return replace(model, layout=layout)
+
+
 def _fitted(
     problem: Problem, layout: Layout, begin: np.ndarray, most: int
 ) -> tuple[Problem, Minimum]:
     """The problem of a measured rotor with this layout, and its minimum near ``begin``."""
-    model = replace(problem.loop.model, layout=layout)
+    model = _measured(problem, layout)
     loop = replace(problem.loop, model=model)
     whole = replace(problem, loop=loop, prior=layout.prior(begin))
     bare = replace(whole, loop=replace(loop, model=replace(model, slopes=False)))
@@ -418,7 +425,7 @@ def _cost(problem: Problem, layout: Layout, theta: np.ndarray) -> float:
     """What a measured rotor leaves there; inf where nothing is."""
     if not layout.allowed(theta):
         return np.inf
-    model = replace(problem.loop.model, layout=layout, slopes=False)
+    model = replace(_measured(problem, layout), slopes=False)
     whole = replace(problem, loop=replace(problem.loop, model=model), prior=layout.prior(theta))
     try:
         return whole.cost(theta)
@@ -456,7 +463,7 @@ def _grown(
             strict=True,
         )
         slopes = np.concatenate([J.view(float) for J in parts], axis=1).T
-        model = replace(problem.loop.model, layout=layout)
+        model = _measured(problem, layout)
         tries = []
         places = tried_at(omegas, rest, whole)
         for mode, step in candidates(model, minimum.x, left, slopes, places, _BEGUN):
@@ -539,7 +546,11 @@ class Problem:
         named, axes = named or {}, self.loop.axes
         for one in self.responses:
             omega = one.omega * factor
-            Y, dY = self.loop.motion(theta, omega)
+            try:
+                with np.errstate(over="raise", invalid="raise", divide="raise"):
+                    Y, dY = self.loop.motion(theta, omega)
+            except (FloatingPointError, NumericalFailure) as error:  # no such machine
+                raise InvalidInput(f"the model overflows at these values: {error}") from None
             K, every = self.loop.controller(omega), whole(one, axes)
             for path in one.paths:
                 read, injected = (named.get(x, x) for x in (path.read, path.injected))

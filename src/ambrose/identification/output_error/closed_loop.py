@@ -254,7 +254,7 @@ class LeastSquares:
         return tuple(turned(*loops[task.place], task, H) for task in tasks)
 
     def minimise(
-        self, items: Sequence[Task] | Sequence[Lines], begin: np.ndarray, **limits: float
+        self, items: Sequence[Task] | Sequence[Lines], begin: np.ndarray, **limits: Any
     ) -> Minimum:
         experiment = self.experiment
 
