@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
+from ambrose.core.rational_fit import fit_rational
 from ambrose.core.response import SystemDerivative
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.output_error.loop_model import LoopModel, loop_model
@@ -29,20 +30,24 @@ from ambrose.model.plant import Plant
 _STEP = 1e-6  # of a parameter's size, of the differences: the model is a low polynomial in all
 _DAMPING = 0.01  # at which a mode begins
 _SMALL = 1e-2  # of the size of a deflection, at which a mode's part of the responses is linear
-_FAR = 100.0  # times its usual size, that nothing is
+_FAR = 10.0  # times its usual size, that nothing is
 _WIDE = 0.1  # damping ratio above which nothing is a mode
 _YIELDING, _HELD = 0.5**0.5, 0.001  # damping of a compliance, and how closely its logarithms stay
 _TIMES = 1.0  # of the file's values, by which they may be off
 _DECADES = 2.0  # of the logarithm of a damping ratio
 _APART = 0.3  # of the logarithm of the ratio of deflections at a magnet and at a sensor
-_HIGHEST = 3.0  # times the highest line, above which no mode is told
-_ABOVE = 1.1, 1.4  # times the highest line: modes beyond
+_HIGHEST = 1.05  # times the highest line, above which no mode is told
 _BEYOND = 3.0  # times the highest line, of what yields
 _SIZES = 0.03, 1.0  # of the deflections from which a mode's are sought
 _ROUNDING = 1e-13  # of the largest square, of what changes of responses tell
 _WORTH = 0.1  # of what the best explains, from which another place is tried
 _COARSE = 12  # frequencies, evenly by their logarithm, at which a mode is tried beside the peaks
 _PEAKS = 6
+_ORDER = 12  # poles of the first look, of which noise takes some
+_FROM = 0.5  # of the lines, by the logarithm of frequency, from where it looks
+_BAND = 0.2  # of the logarithm of frequency, about a pole
+_ONE = 0.02  # of the logarithm of frequency, within which poles are one mode's
+_CLEAR = 10.0  # times what the first look leaves about it, that a mode's peak has
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +79,10 @@ class Layout:
     @property
     def true_modes(self) -> int:
         return self.modes - len(self.compliances)
+
+    def nearest(self, position: float) -> int:
+        """The place nearest to a position [m]."""
+        return int(np.argmin(np.abs(np.array(self.places) - position)))
 
     @property
     def sensed(self) -> np.ndarray:
@@ -365,6 +374,77 @@ def places_of(machine: Machine) -> tuple[float, ...]:
     return tuple(found)
 
 
+def first_modes(
+    model: MeasuredLoop,
+    theta: np.ndarray,
+    omega: np.ndarray,
+    G: np.ndarray,
+    plant: Callable[[MeasuredLoop, np.ndarray], np.ndarray],
+) -> list[np.ndarray]:
+    """The modes (numbers as ``Layout.with_mode`` takes them) that a plant measured between all axes
+    shows beside a rigid rotor at theta, of planes that are not coupled.
+
+    omega (w,) [rad/s], G (w, a, a); plant(model, theta) (w, a, a): the same of a model. What a mode
+    adds is dG_ij = D_ij s_i m_j/(w_k^2 - w^2 + 2 j zeta w_k w); D, the way through amplifier, hold
+    and sensor, is told by a mode far above. The poles of dG/D by vector fitting
+    (``core.rational_fit``), s and m by the largest singular value of their residues.
+    """
+    layout = model.layout
+    count, bearings = len(layout.places), layout.machine.bearings
+    own = plant(model, theta)
+    small, far = _SMALL * layout.unit, _BEYOND * omega[-1]
+    trial = np.array([far, _YIELDING, *np.zeros(layout.whirling), *np.full(count, small)])
+    larger, beside = layout.with_mode(theta, trial, tied=False)
+    added = plant(replace(model, layout=larger), beside) - own
+    by_mode = small**2 / (far**2 - omega**2 + 2j * _YIELDING * far * omega)
+
+    # the planes' mean, over the way through
+    left, way = (
+        (X[:, 0::2, 0::2] + X[:, 1::2, 1::2]) / 2 for X in (G - own, added / by_mode[:, None, None])
+    )
+    b = len(bearings)
+    told = omega > omega[0] * (omega[-1] / omega[0]) ** _FROM
+    if told.sum() < 2 * _ORDER:
+        return []
+    # times w^2, which weighs the lines evenly: the noise of a displacement falls with it
+    data = (omega[told] ** 2)[:, None] * (left / way)[told].reshape(-1, b * b)
+    fit = fit_rational(omega[told], data.T, _ORDER)
+
+    # noise: what a line is off the straight one between its neighbours
+    off = np.abs(data[:-2] - 2 * data[1:-1] + data[2:]).max(axis=1) / np.sqrt(6)
+    found = []
+    for k in np.flatnonzero(fit.poles.imag > 0):
+        pole = fit.poles[k]
+        w, zeta = float(np.abs(pole)), float(-pole.real / np.abs(pole))
+
+        # r/(s - p) + r*/(s - p*) is -s^2 s m'/(s^2 + 2 zeta w s + w^2) beside a constant, for
+        # r = -p^2 s m'/(2 j Im p)
+        shapes = (-2j * pole.imag / pole**2 * fit.residues[:, k]).real.reshape(b, b)
+        left_, sizes, right = np.linalg.svd(shapes)
+        near = np.abs(np.log(omega[told][1:-1] / w)) < _BAND
+        noise = float(np.median(off[near])) if near.any() else np.inf
+        if zeta > _WIDE or sizes[0] / (2 * zeta) < _CLEAR * noise:
+            continue
+        phi = np.zeros(count)
+        root = np.sqrt(sizes[0])
+        at = [layout.nearest(pair.position) for pair in layout.machine.sensor_pairs]
+        of = [bearing.name for bearing in bearings]
+        for place, pair in zip(at, layout.machine.sensor_pairs, strict=True):
+            phi[place] = root * left_[of.index(pair.bearing), 0]
+        for bearing, value in zip(bearings, root * right[0], strict=True):
+            place = layout.nearest(bearing.position)
+            phi[place] = (phi[place] + value) / 2 if place in at else value
+        mode = np.array([w, zeta, *np.zeros(layout.whirling), *phi])
+        found.append((sizes[0] / (2 * zeta) / noise, mode))
+
+    # of poles that share a resonance the clearest
+    kept: list[np.ndarray] = []
+    for _, mode in sorted(found, key=lambda one: -one[0]):
+        if all(abs(np.log(mode[0] / other[0])) > _ONE for other in kept):
+            kept.append(mode)
+    return kept
+
+
 Residuals = Callable[["MeasuredLoop", np.ndarray], np.ndarray]
 
 
@@ -396,7 +476,7 @@ def candidates(
     beyond *= len(layout.compliances) < len(layout.machine.bearings)
     found: list[tuple[float, np.ndarray, np.ndarray]] = []
     for w, damping in [*((w, _DAMPING) for w in lines), *((w, _YIELDING) for w in beyond)]:
-        if known.size and np.abs(known / w - 1).min() < _STEP:
+        if known.size and np.abs(known / w - 1).min() < _ONE:
             continue
         mode = np.zeros(layout.each)
         mode[:2] = w, damping
@@ -469,9 +549,9 @@ def _best_shape(
     return best
 
 
-def tried_at(omegas: Sequence[np.ndarray], left: Sequence[np.ndarray], beyond: bool) -> np.ndarray:
-    """Where a mode is tried [rad/s]: at the peaks of what is left (each (w,) at omegas), evenly
-    between, and, where asked for, beyond.
+def tried_at(omegas: Sequence[np.ndarray], left: Sequence[np.ndarray]) -> np.ndarray:
+    """Where a mode is tried [rad/s]: at the peaks of what is left (each (w,) at omegas), and evenly
+    between. None is tried beyond the lines: of such a mode its compliance alone is told.
     """
     lines = sorted(
         (
@@ -484,4 +564,4 @@ def tried_at(omegas: Sequence[np.ndarray], left: Sequence[np.ndarray], beyond: b
     peaks = list(dict.fromkeys(w for _, w in lines))[:_PEAKS]
     low, high = min(o[0] for o in omegas), max(o[-1] for o in omegas)
     between = np.geomspace(max(low, high / 100), high, _COARSE)
-    return np.array([*peaks, *between, *(factor * high for factor in _ABOVE * beyond)])
+    return np.array([*peaks, *between])

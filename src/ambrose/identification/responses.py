@@ -11,6 +11,7 @@ controller K with its delay, every response is Y's: of square matrices
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path as File
@@ -30,6 +31,7 @@ from ambrose.identification.measured_rotor import (
     Layout,
     MeasuredLoop,
     candidates,
+    first_modes,
     places_of,
     tried_at,
 )
@@ -56,6 +58,7 @@ from ambrose.model.plant import Plant
 from ambrose.record.response import (
     QUANTITIES,
     SCATTER_DOF,
+    SENSOR,
     Path,
     Response,
     agreement,
@@ -100,6 +103,7 @@ _MOST_MODES = 8  # of a measured rotor, unless more are asked for
 _BANDS = 0.5, 1.0  # of the lines, by the logarithm of frequency, one after the other
 _NOISE = 1.2  # of the sum of squares over noise's, below which nothing is looked for on the way
 _PARTS = 1.0, 0.3, 0.1, 0.0  # of a step, that are tried
+_STEPS = 20  # of a fit with one mode more
 _LOOK = 4  # steps after which one of the places is chosen
 _CLOSE = 1e-5  # relative, of the steps with which that fit ends
 _BEGUN = 2  # of the places where a mode explains most, from which the fit is tried
@@ -351,12 +355,16 @@ def _without_drawing(
         layout, theta = layout.without_compliances(theta)
         layout = replace(layout, highest=top)
         problem = Problem(Loop(replace(model, layout=layout), tuple(plant.axes)), band)
+        if share == 1 and not layout.modes and not layout.turning:
+            seen = _plant_between(problem, measured)
+            for numbers in [] if seen is None else _seen_modes(problem, layout, theta, *seen):
+                layout, theta = layout.with_mode(theta, numbers)
         problem, minimum = _fitted(problem, layout, theta, max_iterations)
         if share == _BANDS[0]:
             told = problem.mistakes(minimum.x)
             refuse([one for one in told if one.code == Code.MIXED_CHANNELS])
         problem, layout, minimum = _grown(
-            problem, layout, minimum, most, bending_modes or 0, share == 1, max_iterations
+            problem, layout, minimum, most, bending_modes or 0, share == 1, _STEPS
         )
         theta = minimum.x
         rates = np.exp([theta[layout.mode(k)][0] for k in range(layout.true_modes)]) / _CYCLE
@@ -421,6 +429,49 @@ def _fitted(
     )
 
 
+def _plant_between(
+    problem: Problem, measured: Sequence[Response]
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Frequencies (w,) and the plant (w, a, a) that the first responses between all axes tell; None
+    where none do.
+    """
+    axes = problem.loop.axes
+    a = len(axes)
+    for one in measured:
+        for quantity in ("G", "motion", "T", "S"):
+            paths = {(p.read, p.injected): p.values for p in one.kind(quantity) if p.at == SENSOR}
+            if len(paths) < a * a:
+                continue
+            X = np.array([[paths[i, j] for j in axes] for i in axes]).transpose(2, 0, 1)
+            K = problem.loop.controller(one.omega)
+            if quantity == "G":
+                return one.omega, X
+            if quantity == "motion":  # G = Y (I - K Y)^-1
+                return one.omega, X @ np.linalg.inv(np.eye(a) - K @ X)
+            S = X if quantity == "S" else np.eye(a) - X
+
+            # G = (S^-1 - I) K^-1
+            return one.omega, (np.linalg.inv(S) - np.eye(a)) @ np.linalg.inv(K)
+    return None
+
+
+def _seen_modes(
+    problem: Problem, layout: Layout, theta: np.ndarray, omega: np.ndarray, G: np.ndarray
+) -> list[np.ndarray]:
+    """``first_modes`` of the plant G (w, a, a) beside a rigid rotor at theta."""
+    K = problem.loop.controller(omega)
+
+    def plant(model: MeasuredLoop, theta: np.ndarray) -> np.ndarray:
+        bare = replace(problem.loop, model=replace(model, slopes=False))
+        Y = bare.motion(theta, omega)[0]
+        return np.asarray(Y @ np.linalg.inv(np.eye(len(K[0])) - K @ Y))
+
+    try:
+        return first_modes(_measured(problem, layout), theta, omega, G, plant)
+    except (np.linalg.LinAlgError, NumericalFailure):  # a first look, no more
+        return []
+
+
 def _cost(problem: Problem, layout: Layout, theta: np.ndarray) -> float:
     """What a measured rotor leaves there; inf where nothing is."""
     if not layout.allowed(theta):
@@ -465,11 +516,16 @@ def _grown(
         slopes = np.concatenate([J.view(float) for J in parts], axis=1).T
         model = _measured(problem, layout)
         tries = []
-        places = tried_at(omegas, rest, whole)
+        places = tried_at(omegas, rest)
         for mode, step in candidates(model, minimum.x, left, slopes, places, _BEGUN):
             starts = (layout.with_mode(minimum.x + part * step, mode) for part in _PARTS)
             larger, begin = min(starts, key=lambda one: _cost(problem, *one))
-            tries.append((*_fitted(problem, larger, begin, _LOOK), larger))
+            if not np.isfinite(_cost(problem, larger, begin)):
+                continue
+            with suppress(InvalidInput, NumericalFailure):  # a start of which nothing can be told
+                tries.append((*_fitted(problem, larger, begin, _LOOK), larger))
+        if not tries:
+            break
         further, found, larger = min(tries, key=lambda one: one[1].cost)
         further, found = _fitted(problem, larger, found.x, steps)
         more = found.cost <= minimum.cost - _TOLD * further.excess(found)
@@ -594,6 +650,8 @@ class Problem:
                 H += (J.conj() @ J.T).real
                 g += (J.conj() @ r).real
                 cost += float(np.vdot(r, r).real)
+        if not np.isfinite(cost) or not np.isfinite(H).all():
+            raise InvalidInput("the model is not finite at these values; start elsewhere (--start)")
         return Linearised(cost, H, g)
 
     def cost(self, theta: np.ndarray) -> float:
