@@ -14,9 +14,8 @@ from click.testing import CliRunner
 
 import ambrose as amb
 from ambrose.cli import main
-from ambrose.machine.file.annotated import annotated_machine
 from ambrose.machine.file.toml import loads_machine
-from ambrose.machine.file.update import machine_text
+from ambrose.machine.file.update import annotated_machine, machine_text
 
 RIG = {
     "length": "600 mm",

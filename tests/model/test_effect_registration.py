@@ -21,10 +21,9 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import poles
 from ambrose.machine.attachment import TILTED, by_table
 from ambrose.machine.description import Coupling, Tolerance
-from ambrose.machine.file.annotated import annotated_machine
 from ambrose.machine.file.tables import machine_schema
 from ambrose.machine.file.toml import dumps_machine, loads_machine, machine_hash
-from ambrose.machine.file.update import update_machine_file
+from ambrose.machine.file.update import annotated_machine, update_machine_file
 from ambrose.machine.kinds import Angle, Length, Name, Quantity, Rate, StiffnessPair
 from ambrose.machine.part import Part
 from ambrose.machine.validation.parts import not_positive

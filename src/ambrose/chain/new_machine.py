@@ -36,7 +36,6 @@ from ambrose.machine.description import (
     Operation,
     Requirements,
 )
-from ambrose.machine.file.annotated import annotated_machine
 from ambrose.machine.file.ross import parse_ross, rotor_of_ross
 from ambrose.machine.file.stations import read_rotor
 from ambrose.machine.file.toml import (
@@ -45,7 +44,7 @@ from ambrose.machine.file.toml import (
     read_machine_text,
     read_toml,
 )
-from ambrose.machine.file.update import machine_text, save_machine
+from ambrose.machine.file.update import annotated_machine, machine_text, save_machine
 from ambrose.machine.machine import Machine
 from ambrose.machine.ordinary_file import TOML_BYTES, file_name, read_text
 from ambrose.machine.part import Disc, Notch, PidSettings, RotorModel, Sensor, ShaftSection
