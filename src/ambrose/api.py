@@ -218,6 +218,7 @@ def verify(
     axes: str | None = None,
     tolerances: bool = True,
     everywhere: bool = False,
+    informed: bool = True,
     measured: Any = (),
     running: Any = None,
     rate: float | None = None,
@@ -234,7 +235,8 @@ def verify(
     the one that designs are made for first). axial: the controller of the thrust axis (None: that
     of ``controller``, else the machine file's PID). axes: "radial" or "thrust", the one group of
     axes to judge (None: all; one without a controller is not passed).
-    everywhere: bounds and proofs over the tolerances around every point, not the first alone.
+    everywhere: bounds and proofs over the tolerances around every point, not the first alone;
+    informed: what no requirement limits over them, too.
     measured: frequency responses or their files, which decide at their operating points; running:
     the controller that ran then (None: they are of the plant alone).
     rate [Hz], delay_samples: the loop as it runs, sampled by Tustin's map and late (None: as the
@@ -260,6 +262,7 @@ def verify(
         axes=axes,
         tolerances=tolerances,
         everywhere=everywhere,
+        informed=informed,
         measured=measured,
         running=None if running is None else controller_of(running, place),
         rate=rate,
