@@ -15,7 +15,6 @@ from functools import lru_cache
 import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
 
 from ambrose.core.checks import check_finite, invalid, named_failure
 from ambrose.core.mechanical import undamped_modes
@@ -311,6 +310,8 @@ def _shape(
     nodes: np.ndarray, body: MeasuredRotor, stated: np.ndarray, order: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Deflection and slope (N,) at the nodes [m] of a shape (p,) stated at the body's places."""
+    from scipy.interpolate import CubicSpline  # of rotors without a drawing alone
+
     span = nodes[0], nodes[-1]
     own = np.polynomial.Legendre.basis(order, domain=span) * np.sqrt((2 * order + 1) / body.mass)
     at, slope = np.array(body.places), own.deriv()
