@@ -943,11 +943,11 @@ BROKEN = {
     "comment only": ("# nothing yet\n", "table [machine] is missing", "[[bearing]]", "[[sensor]]"),
     "no TOML": ("this is not a machine\n", "not valid TOML", "line 1"),
     "unclosed string": (SMALL.replace('"small"', '"small'), "not valid TOML", "line 5"),
-    "unclosed bracket": (SMALL.replace("[[disc]]", "[[disc]"), "not valid TOML", "line 37"),
+    "unclosed bracket": (SMALL.replace("[[disc]]", "[[disc]"), "not valid TOML", "line 38"),
     "key twice": (
         SMALL.replace("elements = 4", "elements = 4\nelements = 5"),
         "not valid TOML",
-        "line 30",
+        "line 31",
     ),
     "table twice": (SMALL + "\n[amplifier]\n", "not valid TOML", "amplifier"),
     "nested without end": ("a = " + "[" * 100_000, "nested too deeply"),
