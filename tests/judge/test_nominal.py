@@ -156,6 +156,7 @@ def test_every_check_stands_in_a_table_and_every_table_row_exists(rig, rig_contr
     coil = replace(rig.amplifier, max_voltage=100.0, inductance=0.02)
     operation = Operation((OperatingPoint(speed=300.0),), (0.0, 600.0))
     machine = replace(rig, operation=operation, requirements=wanted, amplifier=coil)
+    machine = replace(machine, rotating_share=1.0, modal_damping=0.02)
     plant = assemble(machine)
     found = nominal.check(
         plant, rig_controller, plant_at=lambda speed: assemble(machine, OperatingPoint(speed=speed))
