@@ -126,6 +126,16 @@ def test_design_verify_and_export_work_with_it(tmp_path):
     assert "Valid      the rotor is as measured at 0 rpm and holds there alone." in header
 
 
+def test_what_was_found_is_found_again():
+    """From the machine with its modes, as an engineer repeats it after the next sweep."""
+    done, _, law, sweep = found("seal-rig")
+    again = amb.identify(done.machine, sweep, law)
+    assert again.bending_modes == done.bending_modes == 2
+    first, second = (np.array([row.value for row in one.parameters]) for one in (done, again))
+    deviations = np.array([row.standard_deviation for row in done.parameters])
+    assert (np.abs(first - second) < deviations).all()
+
+
 def test_responses_of_each_axis_alone_are_refused(tmp_path):
     _, _, law, sweep = found("seal-rig")
     diagonal = replace(sweep, paths=tuple(p for p in sweep.paths if p.read == p.injected))

@@ -242,8 +242,9 @@ class Layout:
         return (
             f"the rotor is as measured at {self.point.speed * 30 / np.pi:.4g} rpm and holds at no "
             f"other speed: {self.body.mass:.4g} kg as stated, centre of mass at "
-            f"{1e3 * centre:.4g} mm, diametral inertia {inertia:.4g} kg m^2, {self.modes} bending "
-            f"modes with their deflections at {places} mm"
+            f"{1e3 * centre:.4g} mm, diametral inertia {inertia:.4g} kg m^2, {self.true_modes} "
+            f"bending modes with their deflections at {places} mm, and what higher ones yield as "
+            f"{len(self.compliances)} entries that do not ring"
         )
 
     def machine_of(self, theta: np.ndarray) -> Machine:
@@ -497,7 +498,7 @@ def candidates(
 
         # with it what is known moves by the least squares of what it leaves
         rest = left - np.array([phi[p] * phi[q] for p, q in pairs]) @ columns
-        step = np.linalg.solve(upper, known_by.T @ rest)
+        step = np.linalg.lstsq(upper, known_by.T @ rest, rcond=None)[0]
         found.append((gain, mode.copy(), step))
     ringing = sorted((one for one in found if one[1][1] < _WIDE), key=lambda one: -one[0])
     kept = [one for one in ringing[:most] if one[0] >= _WORTH * ringing[0][0]]

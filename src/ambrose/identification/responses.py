@@ -315,6 +315,7 @@ def _without_drawing(
     ``bending_modes``, beside the parameters at the paths. Returned: the machine with its rotor.
     """
     point = responses[0].point
+    paths = tuple(path for path in paths if not path.startswith("rotor."))  # all are found
     body = machine.measured_rotor
     assert body is not None
     bearings = [
@@ -350,7 +351,8 @@ def _without_drawing(
     for share in _BANDS:  # the rigid body first, then mode by mode
         top = low * (high / low) ** share * (1 + 1e-9)
         band = tuple(one.at(one.omega <= top) for one in measured)
-        if share < 1 and min(len(one.omega) for one in band) < _FEW:
+        few = min(len(one.omega) for one in band) < _FEW
+        if share < 1 and (few or layout.modes):  # of stated modes it need not be looked for
             continue
         layout, theta = layout.without_compliances(theta)
         layout = replace(layout, highest=top)
@@ -392,7 +394,7 @@ def _without_drawing(
         outputs=(),
         controller=controller,
         computing_delay=delay,
-        bending_modes=layout.modes,
+        bending_modes=layout.true_modes,
         notes=(
             layout.words(minimum.x),
             *problem.notes(minimum.x, ("the bearings, or the two planes,",)),
