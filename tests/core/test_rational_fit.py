@@ -108,3 +108,18 @@ def test_given_poles_are_kept_and_the_rest_is_the_best_on_them():
 def test_bad_input(omega, data, order, words):
     with pytest.raises(InvalidInput, match=words):
         fit_rational(omega, data, order)
+
+
+def test_noise_that_is_stated_does_not_split_a_peak():
+    """A mode of damping 0.005 with noise of 1 % of every value, which is largest at its peak:
+    fitted over the largest value, other poles stand there; over the noise, one."""
+    rng = np.random.default_rng(5)
+    omega = np.unique(np.concatenate([OMEGA, 300 + 3 * np.linspace(-6, 6, 36)]))
+    exact = 1 / (300.0**2 - omega**2 + 2j * 0.005 * 300 * omega) + 1e-6
+    H = exact * (1 + 0.01 * rng.normal(size=(2, len(omega))).T @ np.array([1, 1j]) / np.sqrt(2))
+    poles = fit_rational(omega, H, 8, noise=0.01 * np.abs(exact)).poles
+    upper = poles[poles.imag > 0]
+    nearest = upper[np.argmin(np.abs(upper - 300j))]
+    assert abs(np.abs(nearest) / 300 - 1) < 1e-4
+    assert -nearest.real / np.abs(nearest) == pytest.approx(0.005, rel=0.05)
+    assert (np.abs(np.log(np.abs(upper[upper != nearest]) / 300)) > 0.03).all()

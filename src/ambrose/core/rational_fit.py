@@ -78,15 +78,21 @@ def _real_poles(poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @named_failure("the rational fit")
-def fit_rational(omega: ArrayLike, data: ArrayLike, order: int, slope: bool = False) -> RationalFit:
+def fit_rational(
+    omega: ArrayLike,
+    data: ArrayLike,
+    order: int,
+    slope: bool = False,
+    noise: np.ndarray | None = None,
+) -> RationalFit:
     """The rational functions with ``order`` common stable poles nearest to the data, by least
     squares.
 
     omega (w,) [rad/s]: positive, ascending. data (m, w) or (w,), complex: H_i(j omega), each over
-    its largest magnitude. slope: whether terms s e_i are allowed. Data that are such functions are
-    met to rounding (``error`` below 1e-9); else ``error`` says how far the fit is off. Raises
-    InvalidInput, among others when the points do not determine so many parameters;
-    NumericalFailure.
+    its largest magnitude, or all over their noise (w,). slope: whether terms s e_i are allowed.
+    Data that are such functions are met to rounding (``error`` below 1e-9); else ``error`` says how
+    far the fit is off. Raises InvalidInput, among others when the points do not determine so many
+    parameters; NumericalFailure.
     """
     omega = check_shape(omega, "omega", "(w,)").astype(float)
     H = np.atleast_2d(check_shape(data, "data", "(..., w)", w=len(omega))).astype(complex)
@@ -103,7 +109,7 @@ def fit_rational(omega: ArrayLike, data: ArrayLike, order: int, slope: bool = Fa
         raise invalid(
             "the order of the fit", order, limit, "give more frequencies or lower the order"
         )
-    weights = np.broadcast_to(1 / _size(H), H.shape)
+    weights = np.broadcast_to(1 / (_size(H) if noise is None else noise), H.shape)
     # frequencies of order one: the powers of s stay comparable
     unit = np.sqrt(omega[0] * omega[-1])
     poles = _poles(1j * omega / unit, H, weights, _start(omega / unit, order), slope)

@@ -2,21 +2,22 @@
 
 Of a machine with a [measured_rotor] the places of magnets and sensors and the mass are known; the
 centre of mass, the inertia, and of every mode frequency, damping and deflections at the places are
-found beside the usual unknowns. Modes are added one by one, where the responses ask for one, as
-long as they explain a part of what is left. Both planes have the same modes.
+found beside the usual unknowns. The modes are seen in the plant that the responses are of, beside
+a rigid rotor, as the poles of a rational fit; all numbers are then fitted at once. Both planes have
+the same modes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from ambrose.core.rational_fit import fit_rational
 from ambrose.core.response import SystemDerivative
-from ambrose.core.statespace import StateSpace
+from ambrose.core.statespace import StateSpace, poles
 from ambrose.identification.output_error.loop_model import LoopModel, loop_model
 from ambrose.identification.parameters import nominal_values
 from ambrose.machine.attachment import NEAR
@@ -28,26 +29,25 @@ from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
 
 _STEP = 1e-6  # of a parameter's size, of the differences: the model is a low polynomial in all
-_DAMPING = 0.01  # at which a mode begins
+_DAMPING = 0.01  # of which a steel shaft's modes are, within a decade or two
 _SMALL = 1e-2  # of the size of a deflection, at which a mode's part of the responses is linear
 _FAR = 10.0  # times its usual size, that nothing is
-_WIDE = 0.1  # damping ratio above which nothing is a mode
+RINGS = 0.1  # damping ratio above which nothing is a mode
 _YIELDING, _HELD = 0.5**0.5, 0.001  # damping of a compliance, and how closely its logarithms stay
+_SHARP = 0.03  # of the logarithm of a damping ratio that is held
 _TIMES = 1.0  # of the file's values, by which they may be off
 _DECADES = 2.0  # of the logarithm of a damping ratio
 _APART = 0.3  # of the logarithm of the ratio of deflections at a magnet and at a sensor
-_HIGHEST = 1.05  # times the highest line, above which no mode is told
-_BEYOND = 3.0  # times the highest line, of what yields
-_SIZES = 0.03, 1.0  # of the deflections from which a mode's are sought
-_ROUNDING = 1e-13  # of the largest square, of what changes of responses tell
-_WORTH = 0.1  # of what the best explains, from which another place is tried
-_COARSE = 12  # frequencies, evenly by their logarithm, at which a mode is tried beside the peaks
-_PEAKS = 6
-_ORDER = 12  # poles of the first look, of which noise takes some
-_FROM = 0.5  # of the lines, by the logarithm of frequency, from where it looks
-_BAND = 0.2  # of the logarithm of frequency, about a pole
-_ONE = 0.02  # of the logarithm of frequency, within which poles are one mode's
-_CLEAR = 10.0  # times what the first look leaves about it, that a mode's peak has
+_WITHIN, _BEYOND, _YIELDS = 1.05, 2.5, 3.0  # times the highest line: modes, one beyond, what yields
+_PLACES = 30  # at which that one is tried
+_STEPPED = 0.1  # relative, by which those at one place stand apart
+_ORDER = 16  # poles of the look, of which noise and the rigid body take some; turning twice
+_FROM = 0.3  # of the lines, by the logarithm of frequency, from where it looks
+_CLEAR, _TOLD = 100.0, 10.0  # times the noise of all lines: a mode's part, and what is beyond them
+_RANK = 0.3  # of a mode's largest singular value, its others
+_OWN = 0.03  # of the logarithm of frequency, about the rigid rotor's own poles
+_WHIRLS = 0.5  # of the direct response, a whirl's cross response
+_SPLIT = 2.0  # times the backward whirl's frequency, the forward one's
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,8 @@ class Layout:
     phi = x e^(+-gamma), + at sensors, - at magnets; of one magnet, of which x is +-1 times that of
     one sensor, x stands for gamma. values (r,): of the file, at the paths. ties: per mode (sensor,
     magnet, sign), None where any does. compliances: the frequencies [rad/s] of the last modes,
-    which are none, but what all higher ones yield. highest: the highest line [rad/s].
+    which are none, but what all higher ones yield. highest: the highest line [rad/s]. held: what of
+    the modes stays where it is, "rates" (frequencies and damping), "all" or nothing.
     """
 
     machine: Machine
@@ -71,6 +72,7 @@ class Layout:
     ties: tuple[tuple[int, int, float] | None, ...] = ()
     compliances: tuple[float, ...] = ()
     highest: float = np.inf
+    held: str = ""
 
     @property
     def modes(self) -> int:
@@ -175,6 +177,11 @@ class Layout:
                 precision[first + 2 + self.whirling + tie[1]] = _APART**-2
             known[first], precision[first] = theta[first], 1.0
             known[first + 1], precision[first + 1] = np.log(_DAMPING), _DECADES**-2
+            if self.held:
+                known[first : first + 2] = theta[first : first + 2]
+                precision[first : first + 2] = _HELD**-2, _SHARP**-2
+            if self.held == "all":
+                known[self.mode(k)], precision[self.mode(k)] = theta[self.mode(k)], 1.0
             if k >= self.true_modes:
                 known[first : first + 2] = np.log(
                     [self.compliances[k - self.true_modes], _YIELDING]
@@ -197,8 +204,8 @@ class Layout:
                 if path.startswith("amplifier.") or "force_per_current" in path
             )
             and bool((np.diff(rates) > 0).all())
-            and max(rates, default=0.0) < np.log(_HIGHEST * self.highest)
-            and all(mode[1] < np.log(_WIDE) for mode in modes[: self.true_modes])
+            and max(rates, default=0.0) < np.log(_BEYOND * self.highest)
+            and all(mode[1] < np.log(RINGS) for mode in modes[: self.true_modes])
             and all(mode[1] < 0 for mode in modes)
             and bool((np.abs(theta) <= _FAR * self.usual(len(theta))).all())
         )
@@ -218,12 +225,16 @@ class Layout:
         """Its damping ratio, as the machine file has it."""
         return self.machine.modal_damping if mode.damping is None else mode.damping
 
-    @property
-    def reported(self) -> tuple[tuple[str, ...], list[int]]:
+    def within(self, theta: np.ndarray) -> int:
+        """How many of the modes lie within the lines."""
+        rates = np.exp([theta[self.mode(k)][0] for k in range(self.true_modes)])
+        return int((rates < _WITHIN * self.highest).sum())
+
+    def reported(self, theta: np.ndarray) -> tuple[tuple[str, ...], list[int]]:
         """The paths of a machine's parameters among theta, and where they stand."""
         modes = [
             (f"rotor.{BENDING}{k + 1}.{name}", self.mode(k).start + place)
-            for k in range(self.true_modes)
+            for k in range(self.within(theta))
             for place, name in enumerate(("frequency", "damping"))
         ]
         names = (*self.paths, *(name for name, _ in modes))
@@ -242,9 +253,10 @@ class Layout:
         return (
             f"the rotor is as measured at {self.point.speed * 30 / np.pi:.4g} rpm and holds at no "
             f"other speed: {self.body.mass:.4g} kg as stated, centre of mass at "
-            f"{1e3 * centre:.4g} mm, diametral inertia {inertia:.4g} kg m^2, {self.true_modes} "
-            f"bending modes with their deflections at {places} mm, and what higher ones yield as "
-            f"{len(self.compliances)} entries that do not ring"
+            f"{1e3 * centre:.4g} mm, diametral inertia {inertia:.4g} kg m^2, "
+            f"{self.within(theta)} bending modes with their deflections at {places} mm; "
+            f"{self.modes - self.within(theta)} entries beyond the lines stand for what all higher "
+            "ones yield"
         )
 
     def machine_of(self, theta: np.ndarray) -> Machine:
@@ -298,9 +310,9 @@ class Layout:
             numbers[magnet] = gamma
             mode[2 + self.whirling :] = numbers
         modes = [(theta[self.mode(k)], tie) for k, tie in enumerate(self.ties)] + [(mode, tie)]
-        modes.sort(key=lambda one: (float(one[0][1]) > np.log(_WIDE), float(one[0][0])))
+        modes.sort(key=lambda one: (float(one[0][1]) > np.log(RINGS), float(one[0][0])))
         ties = tuple(tie for _, tie in modes)
-        added = (float(np.exp(mode[0])),) if mode[1] > np.log(_WIDE) else ()
+        added = (float(np.exp(mode[0])),) if mode[1] > np.log(RINGS) else ()
         larger = replace(self, ties=ties, compliances=tuple(sorted(self.compliances + added)))
         return larger, np.concatenate([theta[: self.rigid.stop], *(one for one, _ in modes)])
 
@@ -335,7 +347,7 @@ class MeasuredLoop:
         dA[:first], dB[:first] = by_A[:q], by_B[:q]
 
         # of the rotor's numbers by a step forward
-        for k in range(first, q):
+        for k in range(first, min(q, self.layout.rigid.stop) if self.layout.held == "all" else q):
             ahead = theta.copy()
             ahead[k] += (step := _STEP * scale[k])
             moved = self.matrices(ahead)
@@ -380,189 +392,153 @@ def first_modes(
     theta: np.ndarray,
     omega: np.ndarray,
     G: np.ndarray,
+    noise: np.ndarray,
     plant: Callable[[MeasuredLoop, np.ndarray], np.ndarray],
 ) -> list[np.ndarray]:
     """The modes (numbers as ``Layout.with_mode`` takes them) that a plant measured between all axes
-    shows beside a rigid rotor at theta, of planes that are not coupled.
+    shows beside a rigid rotor at theta, the clearest first, and last what higher ones yield.
 
-    omega (w,) [rad/s], G (w, a, a); plant(model, theta) (w, a, a): the same of a model. What a mode
-    adds is dG_ij = D_ij s_i m_j/(w_k^2 - w^2 + 2 j zeta w_k w); D, the way through amplifier, hold
-    and sensor, is told by a mode far above. The poles of dG/D by vector fitting
-    (``core.rational_fit``), s and m by the largest singular value of their residues.
+    omega (w,) [rad/s], G (w, a, a), noise (w,) of G; plant(model, theta) (w, a, a): the same as G
+    of a model. What a mode adds is dG_ij = D_ij s_i m_j/(w_k^2 - w^2 + 2 j zeta w_k w); D, the way
+    through amplifier, hold and sensor, is told by a mode far above. Its poles are those of dG/D by
+    vector fitting (``core.rational_fit``), and s m' the residues' first singular pair.
     """
     layout = model.layout
-    count, bearings = len(layout.places), layout.machine.bearings
-    own = plant(model, theta)
-    small, far = _SMALL * layout.unit, _BEYOND * omega[-1]
-    trial = np.array([far, _YIELDING, *np.zeros(layout.whirling), *np.full(count, small)])
+    b, far = len(layout.machine.bearings), _YIELDS * omega[-1]
+    own, small = plant(model, theta), _SMALL * layout.unit
+    trial = np.array([far, _YIELDING, *np.zeros(layout.whirling), *[small] * len(layout.places)])
     larger, beside = layout.with_mode(theta, trial, tied=False)
     added = plant(replace(model, layout=larger), beside) - own
-    by_mode = small**2 / (far**2 - omega**2 + 2j * _YIELDING * far * omega)
-
-    # the planes' mean, over the way through
-    left, way = (
-        (X[:, 0::2, 0::2] + X[:, 1::2, 1::2]) / 2 for X in (G - own, added / by_mode[:, None, None])
-    )
-    b = len(bearings)
     told = omega > omega[0] * (omega[-1] / omega[0]) ** _FROM
-    if told.sum() < 2 * _ORDER:
+    order = _ORDER * (1 + layout.turning)
+    if told.sum() < 2 * order:
         return []
-    # times w^2, which weighs the lines evenly: the noise of a displacement falls with it
-    data = (omega[told] ** 2)[:, None] * (left / way)[told].reshape(-1, b * b)
-    fit = fit_rational(omega[told], data.T, _ORDER)
 
-    # noise: what a line is off the straight one between its neighbours
-    off = np.abs(data[:-2] - 2 * data[1:-1] + data[2:]).max(axis=1) / np.sqrt(6)
+    # of a plane by its own currents and, turning, by the other's, over the way through
+    rest = (G - own)[told]
+    way = (added[told, 0::2, 0::2] + added[told, 1::2, 1::2]) / 2
+    omega, way = omega[told], way * _divisor(omega[told], far, _YIELDING)[:, None, None] / small**2
+    direct = (rest[:, 0::2, 0::2] + rest[:, 1::2, 1::2]) / (2 * way)
+    cross = (rest[:, 1::2, 0::2] - rest[:, 0::2, 1::2]) / (2 * way)
+    noise = noise[told] / np.abs(way).min(axis=(1, 2))
+    both = np.concatenate([direct, cross][: 1 + layout.turning], axis=1).reshape(len(omega), -1).T
+    fit = fit_rational(omega, both, order, noise=noise)
+    noise = noise * np.sqrt(np.mean(np.abs((fit.response(omega) - both) / noise) ** 2))
+
+    # r/(s - p) + r*/(s - p*) is s m'/(w_k^2 + 2 zeta w_k s + s^2) where r = s m'/(2 j Im p)
+    upper = fit.poles.imag > 0
+    shapes = (2j * fit.poles.imag * fit.residues)[:, upper].T.reshape(upper.sum(), -1, b, b)
+    rigid = poles(layout.plant(theta).system)
+    rigid = rigid[(rigid.imag > 0) & (-rigid.real < RINGS * np.abs(rigid))]
     found = []
-    for k in np.flatnonzero(fit.poles.imag > 0):
-        pole = fit.poles[k]
+    for pole, shape in zip(fit.poles[upper], shapes, strict=True):
         w, zeta = float(np.abs(pole)), float(-pole.real / np.abs(pole))
+        sizes = np.linalg.svd(shape[0].real)[1]
+        clear = float(np.linalg.norm(sizes[0] / _divisor(omega, w, zeta) / noise))
+        of_body = rigid.size and np.abs(np.log(np.abs(rigid) / w)).min() < _OWN
+        one_mode = clear > _CLEAR and sizes[1:].sum() < _RANK * sizes[0] and not of_body
+        if one_mode and zeta < RINGS and w < _WITHIN * omega[-1]:
+            found.append(_Seen(w, zeta, shape, clear))
+            direct = direct - shape[0].real / _divisor(omega, w, zeta)[:, None, None]
+    found.sort(key=lambda one: -one.clear)
+    seen = [_numbers(layout, *one) for one in _modes(found, layout.point.speed)]
 
-        # r/(s - p) + r*/(s - p*) is -s^2 s m'/(s^2 + 2 zeta w s + w^2) beside a constant, for
-        # r = -p^2 s m'/(2 j Im p)
-        shapes = (-2j * pole.imag / pole**2 * fit.residues[:, k]).real.reshape(b, b)
-        left_, sizes, right = np.linalg.svd(shapes)
-        near = np.abs(np.log(omega[told][1:-1] / w)) < _BAND
-        noise = float(np.median(off[near])) if near.any() else np.inf
-        if zeta > _WIDE or sizes[0] / (2 * zeta) < _CLEAR * noise:
-            continue
-        phi = np.zeros(count)
-        root = np.sqrt(sizes[0])
-        at = [layout.nearest(pair.position) for pair in layout.machine.sensor_pairs]
-        of = [bearing.name for bearing in bearings]
-        for place, pair in zip(at, layout.machine.sensor_pairs, strict=True):
-            phi[place] = root * left_[of.index(pair.bearing), 0]
-        for bearing, value in zip(bearings, root * right[0], strict=True):
-            place = layout.nearest(bearing.position)
-            phi[place] = (phi[place] + value) / 2 if place in at else value
-        mode = np.array([w, zeta, *np.zeros(layout.whirling), *phi])
-        found.append((sizes[0] / (2 * zeta) / noise, mode))
+    # what is left is of higher modes, and of the rigid body: 1/s^2 and 1/s^4
+    def explained(*modes: tuple[float, float]) -> tuple[float, np.ndarray]:
+        columns = [1 / _divisor(omega, *mode) for mode in modes]
+        basis = _parts(np.stack([*columns, omega**-2.0, omega**-4.0], axis=1) / noise[:, None])
+        parts = _parts(direct.reshape(len(omega), -1) / noise[:, None])
+        size = np.linalg.norm(basis, axis=0)
+        held = np.linalg.lstsq(basis / size, parts, rcond=None)[0]
+        return float(np.linalg.norm(parts - basis / size @ held)), held / size[:, None]
 
-    # of poles that share a resonance the clearest
-    kept: list[np.ndarray] = []
-    for _, mode in sorted(found, key=lambda one: -one[0]):
-        if all(abs(np.log(mode[0] / other[0])) > _ONE for other in kept):
-            kept.append(mode)
-    return kept
-
-
-Residuals = Callable[["MeasuredLoop", np.ndarray], np.ndarray]
-
-
-def candidates(
-    model: MeasuredLoop,
-    theta: np.ndarray,
-    residuals: Residuals,
-    slopes: np.ndarray,
-    lines: np.ndarray,
-    most: int,
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The modes (numbers as ``Layout.with_mode`` takes them) that explain most of what a loop at
-    theta leaves, the best first, and the compliance of higher ones; with each the step (q,) of
-    theta that goes with it.
-
-    residuals(model, theta) (r,): all that is left, over its noise; slopes (r, q): its derivatives,
-    which explain their part without a mode; lines (w,) [rad/s]: where one is tried.
-
-    A mode of small deflections phi changes the responses by a quadratic form in them, which is told
-    by phi = e_p and e_p + e_q: r(phi) = r - sum phi_p phi_q Q_pq.
-    """
-    layout, left = model.layout, residuals(model, theta)
-    known_by, upper = np.linalg.qr(slopes)
-    count, small = len(layout.places), _SMALL * layout.unit
-    pairs = [(p, q) for p in range(count) for q in range(p, count)]
-    known = np.exp([theta[layout.mode(k)][0] for k in range(layout.modes)])
-    highest = lines.max()
-    beyond = [_BEYOND * highest * (1 + 0.1 * len(layout.compliances))]
-    beyond *= len(layout.compliances) < len(layout.machine.bearings)
-    found: list[tuple[float, np.ndarray, np.ndarray]] = []
-    for w, damping in [*((w, _DAMPING) for w in lines), *((w, _YIELDING) for w in beyond)]:
-        if known.size and np.abs(known / w - 1).min() < _ONE:
-            continue
-        mode = np.zeros(layout.each)
-        mode[:2] = w, damping
-        changes = {}
-        for p, q in pairs:
-            mode[-count:] = 0.0
-            mode[-count:][[p, q]] = small
-            larger, beside = layout.with_mode(theta, mode, tied=False)
-            changes[p, q] = (left - residuals(replace(model, layout=larger), beside)) / small**2
-
-        # Q_pq + Q_qp = change(e_p + e_q) - change(e_p) - change(e_q)
-        columns = np.array(
-            [changes[p, q] - (changes[p, p] + changes[q, q]) * (p != q) for p, q in pairs]
-        )
-        alone = columns - (columns @ known_by) @ known_by.T
-        gain, phi = _best_shape(alone @ alone.T, alone @ left, pairs, count, layout.unit)
-        mode[-count:] = phi
-
-        # with it what is known moves by the least squares of what it leaves
-        rest = left - np.array([phi[p] * phi[q] for p, q in pairs]) @ columns
-        step = np.linalg.lstsq(upper, known_by.T @ rest, rcond=None)[0]
-        found.append((gain, mode.copy(), step))
-    ringing = sorted((one for one in found if one[1][1] < _WIDE), key=lambda one: -one[0])
-    kept = [one for one in ringing[:most] if one[0] >= _WORTH * ringing[0][0]]
-    return [(mode, step) for _, mode, step in (*kept, *found[len(ringing) :])]
-
-
-def _best_shape(
-    gram: np.ndarray,
-    towards: np.ndarray,
-    pairs: Sequence[tuple[int, int]],
-    count: int,
-    unit: float,
-) -> tuple[float, np.ndarray]:
-    """How much of the sum of squares a mode's deflections (p,) explain, and those that do so
-    best.
-    """
-    first, second = np.array(pairs).T
-
-    # gram = V W V', so that the sum of squares is |W^1/2 V' x - W^-1/2 V' b|^2, x = phi_p phi_q
-    sizes, V = np.linalg.eigh(gram)
-    told = sizes > _ROUNDING * sizes[-1]
-    root = np.sqrt(sizes[told])
-    A, b = root[:, None] * V[:, told].T, V[:, told].T @ towards / root
-
-    def rest(phi: np.ndarray) -> np.ndarray:
-        return np.asarray(A @ (phi[first] * phi[second]) - b)
-
-    def slope(phi: np.ndarray) -> np.ndarray:
-        by = np.zeros((len(first), count))
-        rows = np.arange(len(first))
-        np.add.at(by, (rows, first), phi[second])
-        np.add.at(by, (rows, second), phi[first])
-        return np.asarray(A @ by)
-
-    best: tuple[float, np.ndarray] = 0.0, np.full(count, _SMALL * unit)
-    for number in range(2 ** (count - 1)):
-        signs = np.array([1.0, *(1.0 - 2.0 * (number >> k & 1) for k in range(count - 1))])
-        for size in _SIZES:
-            # as many numbers as A has rows, at least: what nothing tells stays small
-            found = least_squares(
-                lambda phi: np.append(rest(phi), 1e-6 * phi / unit),
-                size * unit * signs,
-                lambda phi: np.vstack([slope(phi), 1e-6 / unit * np.eye(count)]),
-                method="lm",
-                max_nfev=60,
-            )
-            gain = float(b @ b - rest(found.x) @ rest(found.x))
-            best = max(best, (gain, found.x), key=lambda one: one[0])
-    return best
-
-
-def tried_at(omegas: Sequence[np.ndarray], left: Sequence[np.ndarray]) -> np.ndarray:
-    """Where a mode is tried [rad/s]: at the peaks of what is left (each (w,) at omegas), and evenly
-    between. None is tried beyond the lines: of such a mode its compliance alone is told.
-    """
-    lines = sorted(
-        (
-            (float(abs(r[k])), float(omega[k]))
-            for omega, r in zip(omegas, left, strict=True)
-            for k in np.argsort(np.abs(r))[-_PEAKS:]
-        ),
-        reverse=True,
+    yields = far, _YIELDING
+    tries = [(w, _DAMPING) for w in np.geomspace(_WITHIN, _BEYOND, _PLACES) * omega[-1]]
+    cost, one = min((explained(one, yields)[0], one) for one in tries)
+    print(
+        "   yields",
+        explained(yields)[0],
+        "best",
+        one[0] / 6.283,
+        cost,
+        [(round(q.w / 6.283), round(q.zeta, 4), round(q.clear)) for q in found],
     )
-    peaks = list(dict.fromkeys(w for _, w in lines))[:_PEAKS]
-    low, high = min(o[0] for o in omegas), max(o[-1] for o in omegas)
-    between = np.geomspace(max(low, high / 100), high, _COARSE)
-    return np.array([*peaks, *between])
+    beyond = [one] if explained(yields)[0] ** 2 - cost**2 > _TOLD**2 else []
+    for w, zeta in (*beyond, yields):
+        U, sizes, V = np.linalg.svd(explained((w, zeta), yields)[1][0].reshape(b, b))
+        for k, size in enumerate(sizes):
+            if np.linalg.norm(size / _divisor(omega, w, zeta) / noise) > _TOLD:
+                shape, apart = size * np.outer(U[:, k], V[k]), 1 + _STEPPED * k
+                seen.append(_numbers(layout, w * apart, zeta, 0.0, apart**2 * shape))
+                direct = direct - shape / _divisor(omega, w, zeta)[:, None, None]
+    return seen
+
+
+class _Seen(NamedTuple):
+    """A pole [rad/s] with its residues: direct and, turning, cross (1 or 2, b, b)."""
+
+    w: float
+    zeta: float
+    shape: np.ndarray
+    clear: float
+
+
+def _modes(
+    found: Sequence[_Seen], speed: float
+) -> Iterator[tuple[float, float, float, np.ndarray]]:
+    """Frequency, damping, gyroscopic number of itself and s m' (b, b) of the modes with these
+    poles.
+
+    Turning, with z = x + j y: z'' - j g z' + w_k^2 z = m' f has the forward pole w_f and the
+    backward one w_b, w_k^2 = w_f w_b, g = w_f - w_b. Of the direct response they have the parts
+    s m' w_f/(w_f + w_b) and s m' w_b/(w_f + w_b); the cross ones are -j and j times these.
+    """
+    if speed == 0:
+        yield from ((one.w, one.zeta, 0.0, one.shape[0].real) for one in found)
+        return
+
+    def turns(one: _Seen) -> float:
+        return float((np.vdot(one.shape[0], one.shape[1]) / np.vdot(*one.shape[[0, 0]])).imag)
+
+    backward = [one for one in found if turns(one) > _WHIRLS]
+    for ahead in found:
+        if abs(turns(ahead)) <= _WHIRLS:  # both whirls in one pole
+            yield ahead.w, ahead.zeta, 0.0, ahead.shape[0].real
+        if turns(ahead) >= -_WHIRLS:
+            continue
+        near = [one for one in backward if one.w <= ahead.w <= _SPLIT * one.w]
+        if not near:
+            continue
+        back = max(near, key=lambda one: _alike(ahead.shape[0].real, one.shape[0].real))
+        backward.remove(back)
+        w, zeta = float(np.sqrt(ahead.w * back.w)), (ahead.zeta + back.zeta) / 2
+        yield w, zeta, (ahead.w - back.w) / speed, (ahead.shape[0] + back.shape[0]).real
+
+
+def _alike(X: np.ndarray, Y: np.ndarray) -> float:
+    """The cosine between two arrays."""
+    return float(np.vdot(X, Y) / (np.linalg.norm(X) * np.linalg.norm(Y)))
+
+
+def _divisor(omega: np.ndarray, w: float, zeta: float) -> np.ndarray:
+    return np.asarray(w**2 - omega**2 + 2j * zeta * w * omega)
+
+
+def _parts(X: np.ndarray) -> np.ndarray:
+    """Real and imaginary parts one below the other."""
+    return np.concatenate([X.real, X.imag])
+
+
+def _numbers(layout: Layout, w: float, zeta: float, g: float, shape: np.ndarray) -> np.ndarray:
+    """Of a mode with s m' (b, b): as ``Layout.with_mode`` takes them."""
+    U, sizes, V = np.linalg.svd(shape)
+    phi, root = np.zeros(len(layout.places)), np.sqrt(sizes[0])
+    sensors, bearings = layout.machine.sensor_pairs, layout.machine.bearings
+    at = [layout.nearest(pair.position) for pair in sensors]
+    of = [bearing.name for bearing in bearings]
+    for place, pair in zip(at, sensors, strict=True):
+        phi[place] = root * U[of.index(pair.bearing), 0]
+    for bearing, value in zip(bearings, root * V[0], strict=True):
+        place = layout.nearest(bearing.position)
+        phi[place] = (phi[place] + value) / 2 if place in at else value
+    return np.array([w, zeta, *[0.0, g][: layout.whirling], *phi])

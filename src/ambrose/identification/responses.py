@@ -11,7 +11,6 @@ controller K with its delay, every response is Y's: of square matrices
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path as File
@@ -28,12 +27,11 @@ from ambrose.identification.data_quality.signals import point_findings
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding, refuse
 from ambrose.identification.frf_spectral import Frf
 from ambrose.identification.measured_rotor import (
+    RINGS,
     Layout,
     MeasuredLoop,
-    candidates,
     first_modes,
     places_of,
-    tried_at,
 )
 from ambrose.identification.output_error import statistics
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
@@ -100,13 +98,10 @@ _SHARE, _TELLING = 0.5, 60.0  # of the residuals that it explains; of twice the 
 _ALONE = 1e-4  # damping below which a single line is explained
 _MOST_RESONANCES, _PEAKS = 3, 12
 _MOST_MODES = 8  # of a measured rotor, unless more are asked for
-_BANDS = 0.5, 1.0  # of the lines, by the logarithm of frequency, one after the other
-_NOISE = 1.2  # of the sum of squares over noise's, below which nothing is looked for on the way
-_PARTS = 1.0, 0.3, 0.1, 0.0  # of a step, that are tried
-_STEPS = 20  # of a fit with one mode more
-_LOOK = 4  # steps after which one of the places is chosen
+_LOOKS = 3  # from the rigid body of the last
+_ENOUGH = 1.05  # of the sum of squares over noise's, below which it does not look again
+_STEPS = 10  # of a fit with frequencies and damping held
 _CLOSE = 1e-5  # relative, of the steps with which that fit ends
-_BEGUN = 2  # of the places where a mode explains most, from which the fit is tried
 _TOLD = 20.0  # of twice the log likelihood, by which one reading is better than another
 _REFITS = 10  # iterations of the fit with exchanged axes
 _AWAY = 5.0  # of their size, by which the values may go from the start in it
@@ -318,60 +313,60 @@ def _without_drawing(
     paths = tuple(path for path in paths if not path.startswith("rotor."))  # all are found
     body = machine.measured_rotor
     assert body is not None
-    bearings = [
-        [axis.rpartition("_")[0] for axis in (path.read, path.injected)]
-        for one in responses
-        for path in one.paths
-    ]
-    if all(read == injected for read, injected in bearings):
-        raise InvalidInput(
-            "a measured rotor needs the responses between its bearings: those of each axis alone "
-            "do not part the magnets from the rotor's inertia; record all displacements of a sweep"
-        )
     plant = assemble(machine, point)
     law = deployed_controller(plant, controller, sample_time, delay)
     weightless = replace(machine, gravity_direction=None)  # theta has what holds at the load
     nominal = nominal_values(plant, paths)
     values = start_values(paths, nominal, start)
     places = body.places or places_of(machine)
-    layout = Layout(weightless, point, paths, places, tuple(values.tolist()))
-    e, y = (tuple(f"{kind}_{axis}" for axis in plant.axes) for kind in "ey")
+    axes, steps = tuple(plant.axes), max_iterations
+    measured = tuple(usable(one, axes, sample_time) for one in responses)
+    low = min(float(one.omega[0]) for one in measured)
+    high = max(float(one.omega[-1]) for one in measured)
+    layout = Layout(weightless, point, paths, places, tuple(values.tolist()), highest=high)
+    e, y = (tuple(f"{kind}_{axis}" for axis in axes) for kind in "ey")
     model = MeasuredLoop(layout, law, e, y)
+    problem = Problem(Loop(model, axes), measured)
+    _plant_between(problem)  # refused before anything is fitted
     theta = layout.begin(values)
     for mode in machine.bending_modes:
         turns = mode.gyroscopic[: layout.whirling]
         one = np.array([mode.frequency, layout.damping_of(mode), *turns, *mode.shape])
         layout, theta = layout.with_mode(theta, one)
 
-    measured = tuple(usable(one, plant.axes, sample_time) for one in responses)
-    low = min(float(one.omega[0]) for one in measured)
-    high = max(float(one.omega[-1]) for one in measured)
     progress(f"identifying {len(paths)} parameters and a rigid rotor from {len(measured)} files")
     most = _MOST_MODES if bending_modes is None else bending_modes
-    for share in _BANDS:  # the rigid body first, then mode by mode
-        top = low * (high / low) ** share * (1 + 1e-9)
-        band = tuple(one.at(one.omega <= top) for one in measured)
-        few = min(len(one.omega) for one in band) < _FEW
-        if share < 1 and (few or layout.modes):  # of stated modes it need not be looked for
-            continue
-        layout, theta = layout.without_compliances(theta)
-        layout = replace(layout, highest=top)
-        problem = Problem(Loop(replace(model, layout=layout), tuple(plant.axes)), band)
-        if share == 1 and not layout.modes and not layout.turning:
-            seen = _plant_between(problem, measured)
-            for numbers in [] if seen is None else _seen_modes(problem, layout, theta, *seen):
-                layout, theta = layout.with_mode(theta, numbers)
-        problem, minimum = _fitted(problem, layout, theta, max_iterations)
-        if share == _BANDS[0]:
-            told = problem.mistakes(minimum.x)
-            refuse([one for one in told if one.code == Code.MIXED_CHANNELS])
-        problem, layout, minimum = _grown(
-            problem, layout, minimum, most, bending_modes or 0, share == 1, _STEPS
-        )
-        theta = minimum.x
-        rates = np.exp([theta[layout.mode(k)][0] for k in range(layout.true_modes)]) / _CYCLE
-        shown = ", ".join(f"{rate:.4g}" for rate in rates) or "none"
-        progress(f"bending modes up to {top / _CYCLE:.4g} Hz: {shown}")
+    lines = [one.omega <= np.sqrt(low * high) for one in measured]
+    below = problem
+    if min(int(few.sum()) for few in lines) >= _FEW:
+        band = tuple(one.at(few) for one, few in zip(measured, lines, strict=True))
+        below = replace(problem, responses=band)
+    if not layout.modes:  # the rigid body first
+        rigid, minimum = _fitted(below, layout, theta, steps)
+        told = rigid.mistakes(minimum.x)
+        refuse([one for one in told if one.code == Code.MIXED_CHANNELS])
+        theta, steps = minimum.x, 0
+    problem, minimum = _fitted(problem, layout, theta, steps)
+    for _ in range(_LOOKS):  # from a better rigid body the modes are seen better
+        if layout.modes and problem.excess(minimum) < _ENOUGH:
+            break
+        begin = minimum.x[: layout.rigid.stop]
+        try:
+            for _ in range(_LOOKS):
+                larger, begin = _with_modes(problem, layout, begin[: layout.rigid.stop], most)
+                still = replace(larger, held="all")
+                begin = _fitted(below, still, begin, max_iterations)[1].x
+            begin = _fitted(problem, replace(larger, held="rates"), begin, _STEPS)[1].x
+            further, found = _fitted(problem, larger, begin, max_iterations)
+        except (InvalidInput, NumericalFailure, np.linalg.LinAlgError):
+            break  # of what was seen no loop is made
+        if found.cost > minimum.cost - _TOLD * further.excess(found):
+            break
+        problem, minimum, layout = further, found, larger
+        inside = range(layout.within(minimum.x))
+        rates = np.exp([minimum.x[layout.mode(k)][0] for k in inside])
+        shown = ", ".join(f"{rate / _CYCLE:.4g}" for rate in rates) or "none"
+        progress(f"bending modes: {shown} Hz")
     refuse(problem.mistakes(minimum.x))
     if problem.unstated:
         problem = problem.weighed(minimum.x)
@@ -383,7 +378,7 @@ def _without_drawing(
     problem.refuse_unstable(minimum.x)
     found_machine = replace(layout, machine=machine).machine_of(minimum.x)
     begun = np.concatenate([values, minimum.x[len(paths) :]])
-    result = _estimate(machine, problem, layout.reported[0], begun, minimum, layout)
+    result = _estimate(machine, problem, layout.reported(minimum.x)[0], begun, minimum, layout)
     checks = tuple(diagnose_values(found_machine, result, ()))
     refuse(checks)
     return LoopIdentification(
@@ -394,7 +389,7 @@ def _without_drawing(
         outputs=(),
         controller=controller,
         computing_delay=delay,
-        bending_modes=layout.true_modes,
+        bending_modes=layout.within(minimum.x),
         notes=(
             layout.words(minimum.x),
             *problem.notes(minimum.x, ("the bearings, or the two planes,",)),
@@ -431,36 +426,49 @@ def _fitted(
     )
 
 
-def _plant_between(
-    problem: Problem, measured: Sequence[Response]
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Frequencies (w,) and the plant (w, a, a) that the first responses between all axes tell; None
-    where none do.
+def _plant_between(problem: Problem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frequencies (w,), the plant (w, a, a) that the first responses between all axes tell, and to
+    first order its noise (w,). Raises InvalidInput where none do.
     """
     axes = problem.loop.axes
-    a = len(axes)
-    for one in measured:
+    noises = {id(path): problem.noise(path, k) for k, (_, path) in enumerate(problem.items)}
+    for one in problem.responses:
         for quantity in ("G", "motion", "T", "S"):
-            paths = {(p.read, p.injected): p.values for p in one.kind(quantity) if p.at == SENSOR}
-            if len(paths) < a * a:
+            paths = {(p.read, p.injected): p for p in one.kind(quantity) if p.at == SENSOR}
+            if len(paths) < len(axes) ** 2:
                 continue
-            X = np.array([[paths[i, j] for j in axes] for i in axes]).transpose(2, 0, 1)
-            K = problem.loop.controller(one.omega)
+            X, noise = (
+                np.array([[of(paths[i, j]) for j in axes] for i in axes]).transpose(2, 0, 1)
+                for of in (lambda path: path.values, lambda path: noises[id(path)])
+            )
+            K, eye = problem.loop.controller(one.omega), np.eye(len(axes))
             if quantity == "G":
-                return one.omega, X
-            if quantity == "motion":  # G = Y (I - K Y)^-1
-                return one.omega, X @ np.linalg.inv(np.eye(a) - K @ X)
-            S = X if quantity == "S" else np.eye(a) - X
+                left = right = np.broadcast_to(eye, X.shape)
+                G = X
+            elif quantity == "motion":  # G = Y (I - K Y)^-1, dG = (I - Y K)^-1 dY (I - K Y)^-1
+                left, right = np.linalg.inv(eye - X @ K), np.linalg.inv(eye - K @ X)
+                G = X @ right
+            else:  # G = (S^-1 - I) K^-1, dG = -S^-1 dS S^-1 K^-1
+                left = np.linalg.inv(X if quantity == "S" else eye - X)
+                right = left @ np.linalg.inv(K)
+                G = right - np.linalg.inv(K)
+            sizes = [np.linalg.norm(part, 2, axis=(1, 2)) for part in (left, noise, right)]
+            return one.omega, G, np.prod(sizes, axis=0)
+    raise InvalidInput(
+        "a measured rotor needs the responses between its bearings: those of each axis alone do "
+        "not part the magnets from the rotor's inertia; sweep every axis, injected at the sensors, "
+        "and record all displacements"
+    )
 
-            # G = (S^-1 - I) K^-1
-            return one.omega, (np.linalg.inv(S) - np.eye(a)) @ np.linalg.inv(K)
-    return None
 
-
-def _seen_modes(
-    problem: Problem, layout: Layout, theta: np.ndarray, omega: np.ndarray, G: np.ndarray
-) -> list[np.ndarray]:
-    """``first_modes`` of the plant G (w, a, a) beside a rigid rotor at theta."""
+def _with_modes(
+    problem: Problem, layout: Layout, theta: np.ndarray, most: int
+) -> tuple[Layout, np.ndarray]:
+    """A rigid rotor at theta with the ``first_modes`` of the measured plant, at most ``most`` that
+    ring.
+    """
+    layout = replace(layout, ties=(), compliances=())
+    omega, G, noise = _plant_between(problem)
     K = problem.loop.controller(omega)
 
     def plant(model: MeasuredLoop, theta: np.ndarray) -> np.ndarray:
@@ -468,74 +476,11 @@ def _seen_modes(
         Y = bare.motion(theta, omega)[0]
         return np.asarray(Y @ np.linalg.inv(np.eye(len(K[0])) - K @ Y))
 
-    try:
-        return first_modes(_measured(problem, layout), theta, omega, G, plant)
-    except (np.linalg.LinAlgError, NumericalFailure):  # a first look, no more
-        return []
-
-
-def _cost(problem: Problem, layout: Layout, theta: np.ndarray) -> float:
-    """What a measured rotor leaves there; inf where nothing is."""
-    if not layout.allowed(theta):
-        return np.inf
-    model = replace(_measured(problem, layout), slopes=False)
-    whole = replace(problem, loop=replace(problem.loop, model=model), prior=layout.prior(theta))
-    try:
-        return whole.cost(theta)
-    except InvalidInput:
-        return np.inf
-
-
-def _grown(
-    problem: Problem,
-    layout: Layout,
-    minimum: Minimum,
-    most: int,
-    asked: int,
-    whole: bool,
-    steps: int,
-) -> tuple[Problem, Layout, Minimum]:
-    """With further modes, one by one, as long as each explains a part of what is left or fewer than
-    ``asked`` are there; at most ``most``. whole: on all lines; else none beyond these.
-    """
-
-    def left(model: MeasuredLoop, theta: np.ndarray) -> np.ndarray:
-        bare = replace(problem, loop=replace(problem.loop, model=replace(model, slopes=False)))
-        rest = [r for path, r, _ in bare.residuals(theta) if path.quantity != "K"]
-        return np.concatenate(rest).view(float)
-
-    while layout.true_modes < most and (whole or problem.excess(minimum) > _NOISE):
-        omegas, rest, parts = zip(
-            *(
-                (omega, r, J)
-                for (omega, path), (_, r, J) in zip(
-                    problem.items, problem.residuals(minimum.x), strict=True
-                )
-                if path.quantity != "K"
-            ),
-            strict=True,
-        )
-        slopes = np.concatenate([J.view(float) for J in parts], axis=1).T
-        model = _measured(problem, layout)
-        tries = []
-        places = tried_at(omegas, rest)
-        for mode, step in candidates(model, minimum.x, left, slopes, places, _BEGUN):
-            starts = (layout.with_mode(minimum.x + part * step, mode) for part in _PARTS)
-            larger, begin = min(starts, key=lambda one: _cost(problem, *one))
-            if not np.isfinite(_cost(problem, larger, begin)):
-                continue
-            with suppress(InvalidInput, NumericalFailure):  # a start of which nothing can be told
-                tries.append((*_fitted(problem, larger, begin, _LOOK), larger))
-        if not tries:
-            break
-        further, found, larger = min(tries, key=lambda one: one[1].cost)
-        further, found = _fitted(problem, larger, found.x, steps)
-        more = found.cost <= minimum.cost - _TOLD * further.excess(found)
-        if not more and (layout.true_modes >= asked or not whole):
-            break
-        problem, minimum = further, found
-        layout = larger
-    return problem, layout, minimum
+    seen = first_modes(_measured(problem, layout), theta, omega, G, noise, plant)
+    ringing = [one for one in seen if one[1] < RINGS][:most]
+    for one in (*ringing, *(one for one in seen if one[1] >= RINGS)):
+        layout, theta = layout.with_mode(theta, one)
+    return layout, theta
 
 
 def response_fit(
@@ -1070,7 +1015,7 @@ def _estimate(
     refuse(findings)
     covariance = np.linalg.inv(H) * excess
     if layout is not None:  # what is stated of theta, and what is left for it of the information
-        chosen = np.array(layout.reported[1])
+        chosen = np.array(layout.reported(minimum.x)[1])
         values, slopes = layout.stated(minimum.x[chosen])
         begin = layout.stated(begin[chosen])[0]
         covariance = covariance[np.ix_(chosen, chosen)] * slopes * slopes[:, None]
