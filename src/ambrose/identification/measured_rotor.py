@@ -455,14 +455,6 @@ def first_modes(
     yields = far, _YIELDING
     tries = [(w, _DAMPING) for w in np.geomspace(_WITHIN, _BEYOND, _PLACES) * omega[-1]]
     cost, one = min((explained(one, yields)[0], one) for one in tries)
-    print(
-        "   yields",
-        explained(yields)[0],
-        "best",
-        one[0] / 6.283,
-        cost,
-        [(round(q.w / 6.283), round(q.zeta, 4), round(q.clear)) for q in found],
-    )
     beyond = [one] if explained(yields)[0] ** 2 - cost**2 > _TOLD**2 else []
     for w, zeta in (*beyond, yields):
         U, sizes, V = np.linalg.svd(explained((w, zeta), yields)[1][0].reshape(b, b))
