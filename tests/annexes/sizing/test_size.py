@@ -60,10 +60,12 @@ def test_what_is_taken_meets_all_and_verification_agrees():
     )
 
 
-def test_a_size_smaller_fails_for_its_weight():
+def test_a_size_smaller_fails_for_its_weight(monkeypatch):
     small = {trial.size: trial for trial in sizing().trials}[Size(0.4, 1.0)]
     assert not small.met and small.binding.startswith("static load") and small.synthesis is None
     assert small in sizing().smaller or sizing().knee.size.bias == 1.3
+    # with less reserve it is designed, however well
+    monkeypatch.setattr("ambrose.synthesis.fixed_order.tuning._ITERATIONS", 3)
     assert amb.size(rig(), (0.4,), (1.0,), FAST, reserve=0.5).trials[0].synthesis is not None
 
 
