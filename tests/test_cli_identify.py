@@ -269,7 +269,6 @@ def test_static_loads_from_the_command_line(place, identified, tmp_path):
 
 
 @pytest.mark.study
-@pytest.mark.usefixtures("values_alone")
 def test_a_seal_by_pressure_from_the_command_line(tmp_path, place):
     """Records of the rig at three pressures; the machine that results holds the line, and goes
     through the other commands.
