@@ -5,6 +5,7 @@ On CI Hypothesis repeats the same cases, so that a verdict depends on the commit
 looks for new ones.
 """
 
+import gc
 import os
 import re
 import shutil
@@ -31,8 +32,10 @@ ANNEX = re.compile(r"ambrose\.annexes\.(\w+)")
 
 shape_contract.install()
 import compiled_once  # noqa: E402 - imports the package, which is looked at from here on
+import machines_once  # noqa: E402
 
 compiled_once.install()
+machines_once.install()
 settings.register_profile("ci", derandomize=True, deadline=None)
 settings.register_profile("desk", deadline=None)
 settings.load_profile("ci" if os.environ.get("CI") else "desk")
@@ -89,6 +92,17 @@ def pytest_sessionstart(session):
     printer = session.config.pluginmanager.get_plugin("terminalreporter")
     if printer and WHY in session.config.stash:  # no worker has it
         printer.write_line(session.config.stash[WHY])
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """What is collected stays until the end: the collector of garbage never looks at it."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+        gc.freeze()
 
 
 @pytest.hookimpl(trylast=True)

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,7 @@ from ambrose.annexes.campaigns.run import (
 )
 from ambrose.cli import main
 from ambrose.judge.loop_response import loop_evaluator
+from ambrose.synthesis import design
 from coarse import coarse_file
 
 HEAD = {
@@ -45,6 +47,14 @@ VARY = {
     "tolerance.seal.balance-piston.k": {"from": -1.0, "to": 1.0, "count": 3},
     "tolerance.bearing.*.negative_stiffness": [-1, 1],
 }
+
+
+@pytest.fixture(scope="module", autouse=True)
+def designed_once():
+    """The one controller of these plans, half a second each time; processes design their own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(design, "design", cache(design.design))
+        yield
 
 
 def plan(head=None, vary=None, **options):

@@ -48,12 +48,11 @@ def test_a_size_that_cannot_carry_its_loads_fails_for_them(monkeypatch):
     rig = replace(rig, operation=replace(rig.operation, points=(point,), ranges=()))
     rig = replace(rig, operation=replace(rig.operation, design_point=None))
     method = Tuned(rate=10_000, order=8)
-    plain = attempt(rig, Size(), method.on(rig))
     heavy = loaded(rig, 1e5)
     # no controller has force that the magnets lack: few steps of the search show it
     monkeypatch.setattr(tuning, "_ITERATIONS", 3)
     found = attempt(heavy, Size(), method.on(heavy))
-    assert plain.met
+    # without the load it meets all: test_size.py
     assert not found.met and found.binding == CAPACITY
     assert found.capacity == pytest.approx(1 / found.ratios[CAPACITY])
     assert resized(heavy, Size()).bearings == resized(rig, Size()).bearings

@@ -50,7 +50,7 @@ def block_of(method):
 
 def adversarial(block, method):
     """Errors and flags: hundreds of stretches of a design, dozens in CI."""
-    return driver.adversarial(block, 20_000 if method in QUICK else 100_000)
+    return driver.adversarial(block, 10_000 if method in QUICK else 100_000)
 
 
 def exact(values):
