@@ -29,7 +29,7 @@ from ambrose.machine.machine import Machine
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
 from ambrose.model.effects.stations import IMPULSE, SURGE, Load
 from ambrose.report import theme
-from ambrose.report.figures.rotor_drawing import machine_drawing
+from ambrose.report.figures.rotor_drawing import Whirl, machine_drawing, whirl_figure
 from ambrose.report.identification import responses_figure
 from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict, numbers
 from ambrose.report.tables import assumed_table
@@ -280,38 +280,21 @@ def placement_figure(layout: Layout, response: UnbalanceResponse) -> Any:
 
 
 def shapes_figure(layout: Layout, modes: Sequence[ShaftMode]) -> Any:
-    """The shape of every damped mode along the shaft, with its frequency, whirl and log decrement;
-    journals as lines.
+    """The shape of every damped mode in space, with its frequency, whirl and log decrement, and the
+    orbits at the journals and probes.
     """
-    gap = 0.27 / len(modes)  # for a heading, of all panels together
-    figure = theme.subplots(rows=len(modes), cols=1, shared_xaxes=True, vertical_spacing=gap)
-    x = MM * layout.positions
-    for row, mode in enumerate(modes, 1):
-        place, line = {"row": row, "col": 1}, mode.dominant_line()
-        theme.guide(figure, place, [x[0], x[-1]], [0, 0], color=theme.MUTED, width=1)
-        for values, dash in ((line.imag, "dash"), (line.real, "solid")):
-            theme.scatter(
-                figure,
-                place,
-                np.float32(x),
-                np.float32(values),
-                line={"color": "#0072b2", "width": 2 if dash == "solid" else 1.3, "dash": dash},
-            )
-        for journal in layout.journals:
-            at = MM * journal.position
-            theme.guide(figure, place, [at, at], [-1, 1], color=theme.MUTED, width=1, dash="dot")
-            if row == 1:
-                below = np.interp(at, x, line.real) >= 0
-                edge, side = (-1, "bottom") if below else (1, "top")
-                words = theme.plain(journal.name)
-                theme.note(figure, place, words, at, edge, "left", side, xshift=3)
-        hertz = mode.frequency / (2 * np.pi)
-        heading = f"{standard.rpm(mode.frequency)} rpm ({hertz:.4g} Hz), {mode.way}"
-        theme.heading(figure, place, f"{heading}, log decrement {mode.log_decrement:.3g}")
-    theme.dress(figure, 110 * len(modes), legend=False, lines=1)
-    figure.update_yaxes(showticklabels=False, ticks="", range=[-1.3, 1.3])
-    figure.update_xaxes(title_text="Position [mm]", row=len(modes), col=1)
-    return figure
+    shapes = [
+        Whirl(
+            mode.shape,
+            f"{standard.rpm(mode.frequency)} rpm ({mode.frequency / (2 * np.pi):.4g} Hz), "
+            f"{mode.way}, log decrement {mode.log_decrement:.3g}",
+            {"forward": True, "backward": False}.get(mode.way),
+        )
+        for mode in modes
+    ]
+    marks = [("bearing", item.name, item.position) for item in layout.journals]
+    marks += [("sensor", item.name, item.position) for item in layout.readings]
+    return whirl_figure(layout.positions, shapes, marks)
 
 
 def level_one_figure(one: LevelOne) -> Any:
@@ -564,8 +547,8 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
         shapes = Figure(
             "Damped mode shapes",
             shapes_figure(result.layout, [row.mode for row in result.modes]),
-            "Of each mode the forward or backward part, whichever is larger, scaled to its largest "
-            "deflection: solid in the plane of that deflection, dashed across it.",
+            "Each scaled to its largest deflection, its decay left out. Orbits: blue forward, red "
+            "backward, grey planar; thick at bearings and, black, at probes.",
         )
         sections.append(Section("Stability, Level II", two, (shapes,), (modes_table(result),)))
     if result.rubs:
