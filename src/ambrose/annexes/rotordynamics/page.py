@@ -24,6 +24,7 @@ from ambrose.annexes.rotordynamics.response import Separation, UnbalanceResponse
 from ambrose.annexes.rotordynamics.result import Item, Lateral, not_finite
 from ambrose.annexes.rotordynamics.stations import Layout
 from ambrose.core.presentation import with_unit
+from ambrose.judge.campbell import OSCILLATORY, PLANAR
 from ambrose.law.loop import timing_in_words
 from ambrose.machine.machine import Machine
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
@@ -297,6 +298,59 @@ def shapes_figure(layout: Layout, modes: Sequence[ShaftMode]) -> Any:
     return whirl_figure(layout.positions, shapes, marks)
 
 
+def campbell_figure(result: Lateral) -> Any:
+    """Frequencies of the poles that ring over the speed, coloured by their log decrement, with
+    marks by whirl and the line of the speed itself.
+    """
+    figure = theme.subplots(rows=1, cols=1)
+    parts = [
+        [
+            np.full(shown.sum(), speed),
+            *(row[shown] for row in (own.frequency, own.log_decrement, own.whirl)),
+        ]
+        for speed, own in result.along
+        for shown in [(own.damping < OSCILLATORY) & (own.poles.imag > 0)]
+    ]
+    speed, omega, decrement, whirl = (np.concatenate(part) for part in zip(*parts, strict=True))
+    least = standard.LEAST_LOG_DECREMENT
+    high = result.modes_to / (2 * np.pi)
+    rpm, hertz, low = speed / standard.RPM, omega / (2 * np.pi), -np.inf
+    for top, colour, name in (
+        (0.0, theme.LIMIT, "below 0: unstable"),
+        (least, "#e69f00", f"0 to {least:g}: below the limit"),
+        (3 * least, "#0072b2", f"{least:g} to {3 * least:g}"),
+        (1.0, "#56b4e9", f"{3 * least:.1g} to 1"),
+        (np.inf, "#b9c3cb", "above 1"),
+    ):
+        own = (low <= decrement) & (decrement < top) & (hertz <= high)
+        low = top
+        if own.any():
+            marks = np.where(whirl > PLANAR, "triangle-up", "triangle-down")
+            marks = np.where(np.abs(whirl) <= PLANAR, "circle", marks)
+            theme.scatter(
+                figure,
+                _ONE,
+                np.float32(rpm[own]),
+                np.float32(hertz[own]),
+                f"log decrement {name}",
+                shown=True,
+                mode="markers",
+                marker={"size": 6, "color": colour, "symbol": marks[own].tolist()},
+                customdata=np.float32(decrement[own]),
+                hovertemplate="%{x:.5g} rpm: %{y:.4g} Hz, log decrement %{customdata:.3g}"
+                "<extra></extra>",
+            )
+    last = float(rpm.max())
+    line = min(last, 60 * high)
+    theme.guide(figure, _ONE, [0, line], [0, line / 60], color=theme.INK, width=1, dash="dot")
+    for at in sorted({item / standard.RPM for item in result.speeds}):
+        theme.guide(figure, _ONE, [at, at], [0, high], color=theme.MUTED, width=1, dash="dot")
+    theme.dress(figure, 360, legend=True, lines=1)
+    figure.update_xaxes(title_text="Speed [rpm]", range=[0, last])
+    figure.update_yaxes(title_text="Frequency [Hz]", range=[0, high])
+    return figure
+
+
 def level_one_figure(one: LevelOne) -> Any:
     """Log decrement of every forward mode over the cross-coupled stiffness."""
     figure = theme.subplots(rows=1, cols=1)
@@ -432,6 +486,11 @@ _LEVEL_TWO = (
     "running speed; modes above it are listed for information. Below each mode the largest "
     "contributions to its log decrement: all contributions add up to it, negative ones destabilise."
 )
+_CAMPBELL = (
+    "All poles that ring, those of the controller too: up forward, down backward, round planar. "
+    "Dotted: once per revolution; lowest, highest running and trip speed. Where a forward mode "
+    "meets the rising line is a critical speed."
+)
 _CAPACITY = (
     "Dynamic force amplitude (0-p) available on a control axis, limited by bias current, maximum "
     "current, maximum force and the slew rate at the amplifier voltage: in the direction of the "
@@ -550,7 +609,11 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
             "Each scaled to its largest deflection, its decay left out. Orbits: blue forward, red "
             "backward, grey planar; thick at bearings and, black, at probes.",
         )
-        sections.append(Section("Stability, Level II", two, (shapes,), (modes_table(result),)))
+        pictures = (shapes,)
+        if result.along:
+            over = Figure("Campbell diagram of the loop", campbell_figure(result), _CAMPBELL)
+            pictures = (over, shapes)
+        sections.append(Section("Stability, Level II", two, pictures, (modes_table(result),)))
     if result.rubs:
         sections.append(Section("Clearances", "", (), (clearance_table(result),)))
     if result.capacities:

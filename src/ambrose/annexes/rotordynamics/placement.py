@@ -89,7 +89,7 @@ def shaft_modes(loop: ShaftLoop, highest: float, above: float = 0.0) -> tuple[Sh
     filters that hardly move the shaft, and what is met twice.
     """
     found: list[ShaftMode] = []
-    for pole in loop.all_modes():
+    for pole in loop.all_modes().poles:
         if not above < pole.imag <= highest or damping_ratio(np.array([pole]))[0] > OSCILLATORY:
             continue
         # forward and backward circles: two modes of one pole, where nothing tells them apart

@@ -605,9 +605,7 @@ def whirl_figure(
             line(parts, line={"color": colour, "width": 1.5}, opacity=0.6)
     for kind in dict.fromkeys(kind for kind, _, _ in marks):
         places = [int(np.abs(x - 1e3 * at).argmin()) for own, _, at in marks if own == kind]
-        parts = [
-            _ring(x[k], row[k], z) for row, z in zip(rows, low, strict=True) for k in places
-        ]
+        parts = [_ring(x[k], row[k], z) for row, z in zip(rows, low, strict=True) for k in places]
         line(parts, line={"color": _KINDS[kind], "width": 5})
 
     def bent(step: int) -> dict[str, Any]:
@@ -685,8 +683,12 @@ def _menu(buttons: list[dict[str, Any]], x: float, anchor: str) -> dict[str, Any
     font = {"size": 13, "color": theme.INK}
     look = {"bgcolor": "white", "bordercolor": theme.MUTED, "font": font}
     return {
-        "type": "buttons", "direction": "left", "showactive": False, "buttons": buttons,
-        **place, **look,
+        "type": "buttons",
+        "direction": "left",
+        "showactive": False,
+        "buttons": buttons,
+        **place,
+        **look,
     }
 
 
