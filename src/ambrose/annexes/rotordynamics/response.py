@@ -75,7 +75,7 @@ def reach(
             break
         end = wanted
 
-    bends = [speed for speed in knots if slowest < speed < end]
+    bends = [speed for speed in (*running, *knots) if slowest < speed < end]
     speeds = np.union1d(first_speeds(slowest, end), [trip, *bends])
     step = float(np.diff(speeds).max())
     through = {trip, lowest, highest, min(asked, end)}
