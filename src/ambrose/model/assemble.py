@@ -114,7 +114,7 @@ def driven_modes(machine: Machine) -> dict[int, tuple[float, str]]:
 
 
 _FAINT = 0.25  # of a mode's largest deflection: a magnet there has a sixteenth of its authority
-_PART = 0.3  # of what sensors at the magnets would read, by which a mode is damped
+_PART = 0.5  # of what sensors at the magnets would read, by which a mode is damped
 _AWAY = 0.4  # of the largest deflection, at least, where a magnet is to stand instead
 
 

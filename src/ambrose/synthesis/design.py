@@ -25,6 +25,7 @@ from ambrose.core.presentation import to_plain
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, select
+from ambrose.judge.campbell import held_to, modes
 from ambrose.judge.checks import Check
 from ambrose.judge.loop_response import beyond_reach, unavoidable_sensitivity
 from ambrose.judge.nominal import below_stiffness, stiffness_margin
@@ -45,7 +46,7 @@ from ambrose.model.assemble import (
 )
 from ambrose.model.effects import amplifier
 from ambrose.model.effects.rotor import free_modes
-from ambrose.model.plant import Plant
+from ambrose.model.plant import Plant, top_speed
 from ambrose.model.uncertainty import reduce_from
 from ambrose.options import choose, settings
 from ambrose.registry import registered
@@ -62,6 +63,8 @@ _TRIED = 6  # bending modes
 _SHOWN = 3  # of those that bar a design
 _TWO_PI = 2 * np.pi  # rad/s per Hz
 _LIGHT = 0.05  # damping ratio of a pole that is told of where a requirement is missed
+_AROUND = 1.3  # times the top speed: critical speeds near it
+_COSTLY = np.radians(70)  # of lag at a mode: what leads by more lets noise and other modes through
 _NEAR = 0.06  # of a bending frequency at rest: gyroscopic moments part a mode's two
 
 
@@ -549,7 +552,7 @@ def _late(plant: Plant, timing: Timing | None, poor: Collection[float]) -> str:
         )
         lag = -np.unwrap(np.r_[0.0, np.angle(path.values[:, 0, 0])])[1:]
         lag -= np.unwrap(np.angle(lateness(judged, timing))) if timing is not None else 0.0
-    late = [k for k in near if lag[k] > 0.5 * pi]
+    late = [k for k in near if lag[k] > _COSTLY]
     if not late:
         return ""
     words = [
@@ -561,18 +564,19 @@ def _late(plant: Plant, timing: Timing | None, poor: Collection[float]) -> str:
 
 
 def _poor(plant: Plant, result: Synthesis, timing: Timing | None) -> list[float]:
-    """Frequencies [rad/s] of the loops' light poles, at all points, and of the bending modes around
-    which sigma_max(S_o) is above its limit.
+    """The bending modes [rad/s] around which sigma_max(S_o) is above its limit, at all points, and
+    the light poles of those that `verify` holds, or that stand near the speed.
     """
     limit = demand(_PEAK, plant.machine.requirements).limit or SENSITIVITY.limits[0].value
+    top, judged = top_speed(plant.machine), judged_bending(plant.machine)
     found: list[float] = []
     for place in envelope_of(plant):
         runs = law_of(result.law).at(place.point)
         loop = closed_loop(place, runs if timing is None else timing.in_loop(runs))
-        values = continuous_poles(loop.A, loop.dt, place.system.A)[0]
-        found += values.imag[(values.imag > 0) & (-values.real < _LIGHT * np.abs(values))].tolist()
+        own = modes(loop, place.ports, place.system)
+        held = max(held_to(own, top)[0], _AROUND * top)
+        found += own.frequency[(own.damping < _LIGHT) & (own.frequency <= held)].tolist()
         S = select(loop, [f"d_{a}" for a in place.axes], [f"y_{a}" for a in place.axes])
-        judged = judged_bending(plant.machine)
         near = judged[:, None] * np.linspace(1 - _NEAR, 1 + _NEAR, 41)
         peaks = frequency_response(S, near.ravel()).max_singular_value().reshape(near.shape)
         found += judged[peaks.max(axis=1) > limit].tolist()
