@@ -303,18 +303,19 @@ def campbell_figure(result: Lateral) -> Any:
     marks by whirl and the line of the speed itself.
     """
     figure = theme.subplots(rows=1, cols=1)
-    parts = [
+    table = np.hstack(
         [
-            np.full(shown.sum(), speed),
-            *(row[shown] for row in (own.frequency, own.log_decrement, own.whirl)),
+            np.array([np.full(len(own.poles), speed), own.frequency, own.log_decrement, own.whirl])[
+                :, (own.damping < OSCILLATORY) & (own.poles.imag > 0)
+            ]
+            for speed, own in result.along
         ]
-        for speed, own in result.along
-        for shown in [(own.damping < OSCILLATORY) & (own.poles.imag > 0)]
-    ]
-    speed, omega, decrement, whirl = (np.concatenate(part) for part in zip(*parts, strict=True))
+    )
+    decrement, whirl = table[2:]
     least = standard.LEAST_LOG_DECREMENT
     high = result.modes_to / (2 * np.pi)
-    rpm, hertz, low = speed / standard.RPM, omega / (2 * np.pi), -np.inf
+    rpm, hertz = table[0] / standard.RPM, table[1] / (2 * np.pi)
+    low = -np.inf
     for top, colour, name in (
         (0.0, theme.LIMIT, "below 0: unstable"),
         (least, "#e69f00", f"0 to {least:g}: below the limit"),
