@@ -610,7 +610,7 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
             "Each scaled to its largest deflection, its decay left out. Orbits: blue forward, red "
             "backward, grey planar; thick at bearings and, black, at probes.",
         )
-        pictures = (shapes,)
+        pictures: tuple[Figure, ...] = (shapes,)
         if result.along:
             over = Figure("Campbell diagram of the loop", campbell_figure(result), _CAMPBELL)
             pictures = (over, shapes)

@@ -668,7 +668,7 @@ def _joined(parts: Sequence[tuple[Any, Any, Any]]) -> list[np.ndarray]:
     """Lines as one, with gaps between them."""
     gap = [np.nan]
     return [
-        np.float32(np.concatenate([piece for part in parts for piece in (part[k], gap)]))
+        np.concatenate([piece for part in parts for piece in (part[k], gap)]).astype(np.float32)
         for k in range(3)
     ]
 
