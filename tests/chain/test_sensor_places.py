@@ -13,7 +13,8 @@ import pytest
 
 import ambrose as amb
 from ambrose.core.checks import InvalidInput, NumericalFailure
-from ambrose.model.assemble import driven_modes, judged_bending, seen_modes
+from ambrose.model.assemble import badly_placed, driven_modes, judged_bending, seen_modes
+from ambrose.synthesis.design import _barred
 
 DISCS = (
     ("113 mm", "0.85074 kg", "92 mm"),
@@ -167,20 +168,55 @@ def outcome(number):
     return number, modes, kind, rightly, round(spent, 1), said
 
 
-@pytest.mark.parametrize("number", [2, 25, 31])
-def test_three_machines_are_designed_as_verify_asks(number):
-    """In 2 the first bending mode, 558 Hz, is what verify holds against the log decrement: the
-    design left it at 0.05 of 0.1.
-    """
+@pytest.mark.parametrize("number", [3, 36])
+def test_random_machines_are_designed_as_verify_asks(number):
     assert outcome(number)[2] == "holds"
 
 
-# its third mode, 899 Hz, is missed at 1.7 times the limit; at twice the rate nothing is found
-UNSOLVED = pytest.param(16, marks=pytest.mark.xfail(reason="named: too late; not so", strict=True))
+def test_the_first_bending_mode_is_damped_where_the_rigid_ones_do_not_ring():
+    """558 Hz, which verify holds against the log decrement: the design left it at 0.05 of 0.1."""
+    machine = amb.new_machine(
+        "fan",
+        length=0.49546,
+        diameter=0.034013,
+        speed=1711.39,
+        discs=[(0.243338, 0.422266, 0.0833374), (0.272136, 0.422266, 0.11217)],
+        bearings=(0.0335526, 0.415438),
+        sensors=(0.00495456, 0.45581),
+    )
+    assert designed(machine)[0]
+
+
+def test_what_stands_wrong_is_named_by_the_sums_of_deflections():
+    """One bending mode of each kind: magnets at its node, sensors at its node, loud sensors."""
+    shaft = {"length": "1 m", "diameter": "40 mm", "speed": "1000 rpm"}
+    cases = {
+        # the uniform beam's nodes of mode 1 are at 0.224 and 0.776 of its length
+        "magnet": (("200 mm", "800 mm"), ("200 mm", "800 mm")),
+        "sensor": (("100 mm", "900 mm"), ("215 mm", "785 mm")),
+        "loud sensor": (("120 mm", "880 mm"), ("10 mm", "990 mm")),
+    }
+    for kind, (magnets, sensors) in cases.items():
+        machine = amb.new_machine("beam", bearings=magnets, sensors=sensors, **shaft)
+        frequency, found, moved = badly_placed(machine)[1]
+        assert found == kind and {*moved} == {"A", "B"}
+        assert frequency / (2 * np.pi) == pytest.approx(182, rel=0.02)
+        if kind == "magnet":  # to where the beam moves by 0.4 of its ends
+            assert moved["A"] == pytest.approx(0.136, abs=0.02)
+        else:
+            places = {bearing.name: bearing.position for bearing in machine.bearings}
+            assert moved == places
+        said = _barred(machine, [frequency])
+        assert "bending mode 1 (18" in said and "towards" in said
+    assert 1 not in badly_placed(
+        amb.new_machine(
+            "beam", bearings=("100 mm", "900 mm"), sensors=("100 mm", "900 mm"), **shaft
+        )
+    )
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("number", [*range(16), UNSOLVED, *range(17, 40)])
+@pytest.mark.parametrize("number", range(40))
 def test_forty_machines_are_designed_or_name_what_bars_them(number):
     row = outcome(number)
     print(*row[:-1], sep=" | ")

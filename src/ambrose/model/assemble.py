@@ -115,17 +115,19 @@ def driven_modes(machine: Machine) -> dict[int, tuple[float, str]]:
 
 _FAINT = 0.25  # of a mode's largest deflection: a magnet there has a sixteenth of its authority
 _PART = 0.5  # of what sensors at the magnets would read, by which a mode is damped
+_LOUD = 1.8  # times that: the gain that the rigid modes need is too much for this one
 _AWAY = 0.4  # of the largest deflection, at least, where a magnet is to stand instead
 
 
 def badly_placed(machine: Machine) -> dict[int, tuple[float, str, dict[str, float]]]:
     """The bending modes within the loop's reach that magnets or sensors can hardly damp: frequency
-    [rad/s], what stands wrong ("magnet", "sensor"), and of which bearings, with the place [m] to
-    which it is to be moved.
+    [rad/s], what stands wrong ("magnet", "sensor", "loud sensor"), and of which bearings, with the
+    place [m] to which it is to be moved.
 
     Magnets where all stand near its node; sensors where what they read damps the mode less than
     ``_PART`` of what sensors at the magnets would (the sum of w_magnet w_sensor against that of
-    w_magnet^2), of the bearings whose own part is so small.
+    w_magnet^2), of the bearings whose own part is so small; loud sensors where it is more than
+    ``_LOUD`` times as much, as beyond magnets near the shaft's ends.
     """
     corner = machine.amplifier.bandwidth or machine.amplifier.natural_frequency or np.inf
     count = int((judged_bending(machine) <= corner).sum())
@@ -140,9 +142,14 @@ def badly_placed(machine: Machine) -> dict[int, tuple[float, str, dict[str, floa
         if max(at for _, at, _ in own) < _FAINT**2:
             moved = {name: _off_node(machine, mode, places[name]) for name, _, _ in own}
             found[mode] = frequencies[mode], "magnet", moved
-        elif sum(row[2] for row in own) < _PART * sum(row[1] for row in own):
+            continue
+        damped, best = (sum(row[k] for row in own) for k in (2, 1))
+        if damped < _PART * best:
             lacking = {name: places[name] for name, at, part in own if part < _PART * at}
             found[mode] = frequencies[mode], "sensor", lacking
+        elif damped > _LOUD * best:
+            loud = {name: places[name] for name, at, part in own if part > _LOUD * at}
+            found[mode] = frequencies[mode], "loud sensor", loud
     return found
 
 

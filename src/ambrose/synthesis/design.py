@@ -529,10 +529,14 @@ def _barred(machine: Machine, poor: Collection[float] | None = None) -> str:
         what = f"near whose node {kind}{'s' * several} {names} stand{'s' * (not several)}"
         if not kind:
             what = f"in which magnet and sensor {names} move oppositely"
+        if kind == "loud sensor":
+            what = f"which sensor{'s' * several} {names} read{'s' * (not several)} far larger than "
+            what += "it is at the magnet"
         words.append(f"bending mode {mode} ({frequency / _TWO_PI:.3g} Hz), {what}")
+        part = "magnet" if kind == "magnet" else "sensor"
         along = (" and its sensor", "") if kind == "magnet" else ("", ", to the magnet")
         moves |= dict.fromkeys(
-            f"{kind or 'sensor'} {name}{along[0]} towards {1e3 * at:.4g} mm{along[1]}"
+            f"{part} {name}{along[0]} towards {1e3 * at:.4g} mm{along[1]}"
             for name, at in moved.items()
         )
     both = ", or read on both its sides" * any(move.startswith("sensor") for move in moves)
