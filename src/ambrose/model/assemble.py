@@ -143,7 +143,8 @@ def badly_placed(machine: Machine) -> dict[int, tuple[float, str, dict[str, floa
             moved = {name: _off_node(machine, mode, places[name]) for name, _, _ in own}
             found[mode] = frequencies[mode], "magnet", moved
             continue
-        damped, best = (sum(row[k] for row in own) for k in (2, 1))
+        best = sum(at for _, at, _ in own)
+        damped = sum(part for _, _, part in own)
         if damped < _PART * best:
             lacking = {name: places[name] for name, at, part in own if part < _PART * at}
             found[mode] = frequencies[mode], "sensor", lacking
