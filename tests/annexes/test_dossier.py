@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -33,7 +34,7 @@ def place(tmp_path_factory):
     amb.write_controller(folder / "pid.json", amb.design(machine, "pid"))
     (folder / "logo.svg").write_text('<svg xmlns="http://www.w3.org/2000/svg"/>')
     words = ("--project", "Compressor <7>", "--revision", "B", "--author", "J. Doe")
-    words += ("--logo", folder / "logo.svg", "-o", folder / "out", "--json")
+    words += ("--logo", folder / "logo.svg", "-o", folder / "out", "--docx", "--json")
     done = call("review", folder / "rotor.toml", folder / "pid.json", *words)
     assert done.exit_code in (0, 1), done.output
     return folder, done
@@ -83,6 +84,28 @@ def test_what_fails_and_what_was_not_judged_stand_on_the_page(place):
     assert len(rows) == len(result.failed) > 0
     text = re.sub(r"\s+", " ", render(page))
     assert result.verdict.split(";")[0] in text
+
+
+def test_the_page_is_a_document_to_edit(place, monkeypatch):
+    """Read back by python-docx: verdict, every table with every cell, figures by name, who signs."""
+    docx = pytest.importorskip("docx")
+    folder, done = place
+    told = json.loads(done.stdout)
+    paper = docx.Document(str(folder / "out" / "review.docx"))
+    grids = [[[cell.text for cell in row.cells] for row in table.rows] for table in paper.tables]
+    assert grids[0][1] == ["Result", f"{'✓' if told['passed'] else '✗'} {told['verdict']}"]
+    assert [row[0] for row in grids[-1][1:]] == ["Prepared", "Checked", "Released"]
+    rows = [row for grid in grids for row in grid]
+    for item in told["failed"]:
+        assert any(item["where"] in row and f"✗ {item['requirement']}" in row for row in rows)
+    for sentence in told["not_judged"]:
+        assert [sentence] in rows
+    words = [paragraph.text for paragraph in paper.paragraphs]
+    assert any(text.startswith("Figure 1. Rotor and its parts: see review.html") for text in words)
+    assert "Compressor <7>, revision B, J. Doe" in paper.sections[0].header.paragraphs[0].text
+    monkeypatch.setitem(sys.modules, "docx", None)
+    refused = call("review", folder / "rotor.toml", folder / "pid.json", "--docx")
+    assert refused.exit_code == 2 and "pip install python-docx" in refused.output
 
 
 def test_the_users_file_has_the_defaults_and_is_refused_where_it_is_wrong(

@@ -5,6 +5,7 @@ second bending mode, and machines drawn at random.
 """
 
 import re
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,8 @@ import pytest
 
 import ambrose as amb
 from ambrose.core.checks import InvalidInput, NumericalFailure
-from ambrose.model.assemble import driven_modes, seen_modes
+from ambrose.model.assemble import badly_placed, driven_modes, judged_bending, seen_modes
+from ambrose.synthesis.design import _barred
 
 DISCS = (
     ("113 mm", "0.85074 kg", "92 mm"),
@@ -70,39 +72,158 @@ def test_a_design_that_fails_names_mode_and_place_and_holds_once_they_are_moved(
 
 
 def random_machine(number):
-    """0.5 to 2,000 kg: a shaft of 8 to 40 diameters with one to three discs, as its size asks."""
+    """0.5 to 2,000 kg, one to four bending modes within the amplifier's reach: a shaft of 8 to 30
+    diameters, one to three discs, the magnets outside of them or between; each sensor to either
+    side of its magnet, 1.5 to 12 % of the length away.
+    """
     rng = np.random.default_rng(number)
-    mass = 10 ** rng.uniform(np.log10(0.5), np.log10(2000))
-    slim = rng.uniform(8, 40)
-    thick = (0.6 * mass / (7850 * np.pi / 4 * slim)) ** (1 / 3)
-    long = slim * thick
-    count = int(rng.integers(1, 4))
-    at = np.sort(rng.uniform(0.25, 0.75, count)) * long
-    discs = [(float(z), float(0.4 * mass / count), float(thick * rng.uniform(2, 5))) for z in at]
-    top = float(rng.uniform(0.3, 1.2) * 2 * np.pi * 1500 * thick / (slim / 12) ** 2 / 0.04 / 10)
-    return amb.new_machine(
-        f"random {number}", length=long, diameter=thick, speed=min(top, 3000.0), discs=discs
-    )
+    for _ in range(100):
+        mass = 10 ** rng.uniform(np.log10(0.5), np.log10(2000))
+        slim, share = rng.uniform(8, 30), rng.uniform(0.4, 0.9)
+        thick = (share * mass / (7850 * np.pi / 4 * slim)) ** (1 / 3)
+        long, count = slim * thick, int(rng.integers(1, 4))
+        if rng.random() < 0.4:  # discs overhang
+            a, b = rng.uniform(0.15, 0.3), rng.uniform(0.7, 0.85)
+            ends = (0.0, a - 0.08), (b + 0.08, 1.0), (a + 0.1, b - 0.1)
+            at = [rng.uniform(*part) for part in ends][:count]
+        else:
+            a, b = rng.uniform(0.06, 0.2), rng.uniform(0.8, 0.94)
+            at = rng.uniform(a + 0.08, b - 0.08, count)
+        discs = [
+            (float(z * long), float((1 - share) * mass / count), float(thick * rng.uniform(2, 5)))
+            for z in sorted(at)
+        ]
+        away = [rng.choice((-1, 1)) * rng.uniform(0.015, 0.12) for _ in "AB"]
+        sensors = [
+            float(np.clip(z + d, 0.01, 0.99) * long) for z, d in zip((a, b), away, strict=True)
+        ]
+        asked = {
+            "length": float(long),
+            "diameter": float(thick),
+            "speed": min(float(rng.uniform(5, 60) / thick), 2500.0),
+            "discs": discs,
+            "bearings": (float(a * long), float(b * long)),
+            "sensors": sensors,
+        }
+        machine = amb.new_machine(f"random {number}", **asked)
+        if 1 <= (judged_bending(machine) <= machine.amplifier.bandwidth).sum() <= 4:
+            return machine, asked
+    raise AssertionError("no plausible machine was drawn")
 
 
-def outcome(number):
-    """Verified, or barred with a cause that was true: moving what it names lets the design hold."""
-    machine = random_machine(number)
+def designed(machine):
+    """Whether all that verify asks is met, and what is said: of a design, or of its failure."""
     try:
         made = amb.design(machine)
     except NumericalFailure as error:
-        named = re.findall(r"sensor (\w+) towards", str(error))
-        assert named or "no controller can" in str(error), str(error)
-        return "" if not named else amb.design(moved(machine, named)).status
-    return made.status
+        return False, str(error)
+    missed = made.gamma > 1 or made.lost or "unmet_checks" in made.certificate.margins
+    return made.status == "verified" and not missed, "\n".join(made.notes)
 
 
-# 0 to 6 were run when this was written; of 1, 38 diameters long with four modes below 600 Hz, no
-# controller was found at its magnets either, nor of order 16, and no cause is named
-UNSOLVED = pytest.param(1, marks=pytest.mark.xfail(reason="no cause is named", strict=True))
+BARS = re.compile(r"bending mode (\d) \(")
+NEAR_SPEED = "amplification factor near the running speeds"
+
+
+def as_named(machine, asked, said):
+    """The machine with what was named moved as the sentence says, and what bars it no longer."""
+    magnets = {name: at / 1e3 for name, at in numbers(r"magnet (\w) and its sensor towards", said)}
+    sensors = {name: at / 1e3 for name, at in numbers(r"sensor (\w) towards", said)}
+    if magnets or sensors:
+        places = {b.name: magnets.get(b.name, b.position) for b in machine.bearings}
+        own = {s.bearing: s.position for s in machine.sensors} | magnets | sensors
+        asked = asked | {"bearings": [*places.values()], "sensors": [own[n] for n in places]}
+        return amb.new_machine(machine.name, **asked), set(BARS.findall(said))
+    if "sample faster" in said:
+        rate = 2 / machine.controller.sample_time
+        return amb.new_machine(machine.name, rate=rate, **asked), set(BARS.findall(said))
+    if NEAR_SPEED in said:
+        slower = asked | {"speed": 0.7 * asked["speed"]}
+        return amb.new_machine(machine.name, **slower), {NEAR_SPEED}
+    return None, set()
+
+
+def numbers(pattern, said):
+    return [(name, float(at)) for name, at in re.findall(pattern + r" ([\d.]+) mm", said)]
+
+
+def outcome(number):
+    """One row of the table: number, mass, modes; what came out; what is named; of a failure whether
+    what was named bars it no longer, once moved; seconds of processor time.
+    """
+    begun = time.process_time()
+    machine, asked = random_machine(number)
+    good, said = designed(machine)
+    spent = time.process_time() - begun
+    kind, rightly = "holds", ""
+    if not good:
+        other, bars = as_named(machine, asked, said)
+        kind = ", ".join(sorted(bars)) or "nothing named"
+        if other is not None:
+            again, more = designed(other)
+            left = set(BARS.findall(more)) | ({NEAR_SPEED} if NEAR_SPEED in more else set())
+            worse = more.startswith("no controller") or bars & left
+            rightly = "holds once moved" if again else "still" if worse else "other cause"
+    modes = int((judged_bending(machine) <= machine.amplifier.bandwidth).sum())
+    return number, modes, kind, rightly, round(spent, 1), said
+
+
+@pytest.mark.parametrize("number", [3, 36])
+def test_random_machines_are_designed_as_verify_asks(number):
+    assert outcome(number)[2] == "holds"
+
+
+def test_the_first_bending_mode_is_damped_where_the_rigid_ones_do_not_ring():
+    """558 Hz, which verify holds against the log decrement: the design left it at 0.05 of 0.1."""
+    machine = amb.new_machine(
+        "fan",
+        length=0.49546,
+        diameter=0.034013,
+        speed=1711.39,
+        discs=[(0.243338, 0.422266, 0.0833374), (0.272136, 0.422266, 0.11217)],
+        bearings=(0.0335526, 0.415438),
+        sensors=(0.00495456, 0.45581),
+    )
+    assert designed(machine)[0]
+
+
+def test_what_stands_wrong_is_named_by_the_sums_of_deflections():
+    """One bending mode of each kind: magnets at its node, sensors at its node, loud sensors."""
+    shaft = {"length": "1 m", "diameter": "40 mm", "speed": "1000 rpm"}
+    cases = {
+        # the uniform beam's nodes of mode 1 are at 0.224 and 0.776 of its length
+        "magnet": (("200 mm", "800 mm"), ("200 mm", "800 mm")),
+        "sensor": (("100 mm", "900 mm"), ("215 mm", "785 mm")),
+        "loud sensor": (("120 mm", "880 mm"), ("10 mm", "990 mm")),
+    }
+    for kind, (magnets, sensors) in cases.items():
+        machine = amb.new_machine("beam", bearings=magnets, sensors=sensors, **shaft)
+        frequency, found, moved = badly_placed(machine)[1]
+        assert found == kind and {*moved} == {"A", "B"}
+        assert frequency / (2 * np.pi) == pytest.approx(182, rel=0.02)
+        if kind == "magnet":  # to where the beam moves by 0.4 of its ends
+            assert moved["A"] == pytest.approx(0.136, abs=0.02)
+        else:
+            places = {bearing.name: bearing.position for bearing in machine.bearings}
+            assert moved == places
+        said = _barred(machine, [frequency])
+        assert "bending mode 1 (18" in said and "towards" in said
+    assert 1 not in badly_placed(
+        amb.new_machine(
+            "beam", bearings=("100 mm", "900 mm"), sensors=("100 mm", "900 mm"), **shaft
+        )
+    )
+
+
+# 1.68 of the limit at mode 3, 1.12 once the sensors that are named stand at the magnets
+UNSOLVED = pytest.param(16, marks=pytest.mark.xfail(reason="better, not met", strict=True))
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("number", [0, UNSOLVED, *range(2, 40)])
+@pytest.mark.parametrize("number", [*range(16), UNSOLVED, *range(17, 40)])
 def test_forty_machines_are_designed_or_name_what_bars_them(number):
-    assert outcome(number) in ("verified", "")
+    row = outcome(number)
+    print(*row[:-1], sep=" | ")
+    if row[2] != "holds":
+        print(row[-1])
+    assert row[2] == "holds" or row[3] in ("holds once moved", "other cause"), row[-1]

@@ -154,6 +154,21 @@ def pairs(ports: tuple[str, ...]) -> tuple[list[int], list[int]]:
     return first, second
 
 
+def _that_ring(eigenmodes: Modes) -> np.ndarray:
+    return np.flatnonzero((eigenmodes.poles.imag > 0) & (eigenmodes.damping < OSCILLATORY))
+
+
+def held_to(eigenmodes: Modes, top_speed: float) -> tuple[float, float]:
+    """Up to where modes are held against the log decrement, and the first that can ring and does
+    not whirl backward (inf: none), both [rad/s].
+    """
+    reach = max(SENSITIVITY_RANGE.limits[0].value, SPEED_RANGE_FACTOR * top_speed)
+    ringing = _that_ring(eigenmodes)
+    forward = ringing[eigenmodes.whirl[ringing] > -PLANAR]
+    first = float(eigenmodes.frequency[forward[0]]) if forward.size else math.inf
+    return max(top_speed, first) if first <= reach else reach, first
+
+
 def pole_checks(eigenmodes: Modes, requirements: Requirements, top_speed: float) -> list[Check]:
     """The checks of this file's table.
 
@@ -175,13 +190,11 @@ def pole_checks(eigenmodes: Modes, requirements: Requirements, top_speed: float)
         Demand(0.0, "<", "asymptotic stability"),
         _stability_detail(eigenmodes, worst),
     )
-    ringing = np.flatnonzero((eigenmodes.poles.imag > 0) & (eigenmodes.damping < OSCILLATORY))
+    ringing = _that_ring(eigenmodes)
     if not ringing.size:
         return [stability]
     checks = [stability]
-    forward = ringing[eigenmodes.whirl[ringing] > -PLANAR]
-    first = float(eigenmodes.frequency[forward[0]]) if forward.size else math.inf
-    ceiling = max(top_speed, first) if first <= reach else reach
+    ceiling, first = held_to(eigenmodes, top_speed)
     oscillating = eigenmodes.poles.imag > 0  # one that cannot ring counts where no other is near
     low = np.flatnonzero(oscillating & (eigenmodes.frequency <= ceiling * (1 + _ROUNDING)))
     if low.size:

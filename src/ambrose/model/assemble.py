@@ -113,6 +113,58 @@ def driven_modes(machine: Machine) -> dict[int, tuple[float, str]]:
     }
 
 
+_FAINT = 0.25  # of a mode's largest deflection: a magnet there has a sixteenth of its authority
+_PART = 0.5  # of what sensors at the magnets would read, by which a mode is damped
+_LOUD = 1.8  # times that: the gain that the rigid modes need is too much for this one
+_AWAY = 0.4  # of the largest deflection, at least, where a magnet is to stand instead
+
+
+def badly_placed(machine: Machine) -> dict[int, tuple[float, str, dict[str, float]]]:
+    """The bending modes within the loop's reach that magnets or sensors can hardly damp: frequency
+    [rad/s], what stands wrong ("magnet", "sensor", "loud sensor"), and of which bearings, with the
+    place [m] to which it is to be moved.
+
+    Magnets where all stand near its node; sensors where what they read damps the mode less than
+    ``_PART`` of what sensors at the magnets would (the sum of w_magnet w_sensor against that of
+    w_magnet^2), of the bearings whose own part is so small; loud sensors where it is more than
+    ``_LOUD`` times as much, as beyond magnets near the shaft's ends.
+    """
+    corner = machine.amplifier.bandwidth or machine.amplifier.natural_frequency or np.inf
+    count = int((judged_bending(machine) <= corner).sum())
+    rows: dict[int, list[tuple[str, float, float]]] = {}
+    frequencies: dict[int, float] = {}
+    for bearing, mode, frequency, at, measured in seen_modes(machine, count):
+        frequencies[mode] = frequency
+        rows.setdefault(mode, []).append((bearing, at**2, at * measured))
+    places = {bearing.name: bearing.position for bearing in machine.bearings}
+    found: dict[int, tuple[float, str, dict[str, float]]] = {}
+    for mode, own in rows.items():
+        if max(at for _, at, _ in own) < _FAINT**2:
+            moved = {name: _off_node(machine, mode, places[name]) for name, _, _ in own}
+            found[mode] = frequencies[mode], "magnet", moved
+            continue
+        best = sum(at for _, at, _ in own)
+        damped = sum(part for _, _, part in own)
+        if damped < _PART * best:
+            lacking = {name: places[name] for name, at, part in own if part < _PART * at}
+            found[mode] = frequencies[mode], "sensor", lacking
+        elif damped > _LOUD * best:
+            loud = {name: places[name] for name, at, part in own if part > _LOUD * at}
+            found[mode] = frequencies[mode], "loud sensor", loud
+    return found
+
+
+def _off_node(machine: Machine, mode: int, place: float) -> float:
+    """The place [m] nearest to one at which a bending mode moves by ``_AWAY`` of its largest
+    deflection.
+    """
+    rotor = finite_element_rotor(machine)
+    shape = in_plane(free_modes(rotor, mode))[:, 1 + mode]
+    along = np.linspace(0.02, 0.98, 193) * machine.length
+    w = np.abs(plane_rows(rotor, along)[0] @ shape) / np.abs(shape[0::2]).max()
+    return float(min(along[w >= _AWAY], key=lambda at: abs(at - place), default=place))
+
+
 def modes_judged(plant: Plant) -> int:
     """How many bending modes per plane a model needs for the sensitivity to be judged on it: all
     of ``judged_bending``, and one more.

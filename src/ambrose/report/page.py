@@ -16,13 +16,15 @@ from __future__ import annotations
 import gzip
 import itertools
 import math
-from base64 import b64encode
-from collections.abc import Mapping
+from base64 import b64decode, b64encode
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import date as calendar
+from datetime import date as calendar, datetime
 from functools import lru_cache
 from importlib.resources import files
+from io import BytesIO
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from ambrose.core.checks import InvalidInput, invalid
@@ -434,3 +436,94 @@ def write(report: Page, path: str | Path) -> Path:
     Returns the path. Raises InvalidInput when the folder does not exist or cannot be written to.
     """
     return write_text(path, render(report), "report")
+
+
+# The same page as a document that a word processor edits, by python-docx. Figures need a browser:
+# they are named, with the page that shows them.
+
+_TONES = {"pass": "1B7F4D", "fail": "A3341F"}
+
+
+def documents() -> ModuleType:
+    """python-docx. Raises InvalidInput where it is not installed."""
+    try:
+        import docx
+    except ImportError:
+        raise InvalidInput(
+            "documents (*.docx) need the package python-docx; install it with: pip install "
+            "python-docx"
+        ) from None
+    return docx
+
+
+def document(page: Page, beside: str) -> bytes:
+    """The page as an editable document (*.docx); beside: the page (*.html) that shows its figures.
+    Raises InvalidInput where python-docx is not installed.
+    """
+    paper = documents().Document()
+    from docx.shared import Mm, Pt, RGBColor
+
+    about = paper.core_properties
+    about.title, about.comments = f"{page.title}: {page.machine.name}", ""
+    about.author = page.brand.author if page.brand else ""
+    about.created = datetime.fromisoformat(page.date or calendar.today().isoformat())
+    sheet = paper.sections[0]
+    sheet.page_width, sheet.page_height = Mm(210), Mm(297)
+    sheet.left_margin = sheet.right_margin = Mm(20)
+    paper.styles["Normal"].font.size = Pt(10)
+    if page.brand:
+        head = sheet.header.paragraphs[0]
+        kind, _, content = page.brand.logo.partition(";base64,")
+        if content and "svg" not in kind:  # which it does not take in
+            head.add_run().add_picture(BytesIO(b64decode(content)), height=Mm(10))
+        head.add_run(f" {page.brand.line}")
+
+    def write_cell(place: Any, cell: Cell) -> None:
+        words = " ".join(filter(None, (cell.symbol, cell.text)))
+        run = place.paragraphs[0].add_run(words)
+        if tone := _TONES.get(cell.mark):
+            run.font.color.rgb = RGBColor.from_string(tone)
+        run.bold = cell.best or cell.mark in {"fail", "heading"}
+        if cell.mark == "number":
+            place.paragraphs[0].alignment = 2  # right
+        if cell.detail:
+            place.add_paragraph().add_run(cell.detail).font.size = Pt(8)
+
+    def add_table(columns: Sequence[str], rows: Iterable[Sequence[Cell]]) -> None:
+        grid = paper.add_table(rows=1, cols=len(columns), style="Table Grid")
+        for place, text in zip(grid.rows[0].cells, columns, strict=True):
+            place.paragraphs[0].add_run(text).bold = True
+        for row in rows:
+            for place, cell in zip(grid.add_row().cells, row, strict=True):
+                write_cell(place, cell)
+
+    def add_section(section: Section, number: int) -> int:
+        for text in section.paragraphs:
+            paper.add_paragraph(text)
+        for table in section.tables:
+            if table.title:
+                paper.add_heading(table.title, 2)
+            add_table(table.columns, table.cells)
+            paper.add_paragraph(table.note)
+        for figure in section.figures:
+            number += 1
+            words = f"Figure {number}. {figure.title}: see {beside}. {figure.caption}"
+            paper.add_paragraph(words.strip())
+        return number
+
+    paper.add_heading(f"{page.title}: {page.machine.name}", 0)
+    verdicts = [*filter(None, [page.result]), *page.verdicts]
+    rows = [(Cell(item.label), Cell(item.text, item.mark)) for item in verdicts]
+    add_table(("Verdict", ""), rows)
+    paper.add_paragraph()
+    add_table(("Document", ""), [(Cell(name), Cell(text)) for name, text in page.head if text])
+    count = add_section(page.opening or Section(""), 0)
+    for section in page.sections:
+        paper.add_heading(section.title, 1)
+        count = add_section(section, count)
+    if page.signatures:
+        lines = [(Cell(name), *[Cell("")] * 3) for name in page.signatures]
+        add_table(("", "Name", "Date", "Signature"), lines)
+    stream = BytesIO()
+    paper.save(stream)
+    return stream.getvalue()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from math import pi
@@ -25,6 +25,7 @@ from ambrose.core.presentation import to_plain
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, select
+from ambrose.judge.campbell import held_to, modes
 from ambrose.judge.checks import Check
 from ambrose.judge.loop_response import beyond_reach, unavoidable_sensitivity
 from ambrose.judge.nominal import below_stiffness, stiffness_margin
@@ -36,12 +37,20 @@ from ambrose.law.loop import DEFAULT, Timing, check_rate, closed_loop, timing_of
 from ambrose.machine.criteria import SENSITIVITY, demand
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine, require_magnets
-from ambrose.model.assemble import assemble, bending_modes_of, driven_modes, judged_bending
+from ambrose.model.assemble import (
+    assemble,
+    badly_placed,
+    bending_modes_of,
+    driven_modes,
+    judged_bending,
+)
+from ambrose.model.effects import amplifier
 from ambrose.model.effects.rotor import free_modes
-from ambrose.model.plant import Plant
+from ambrose.model.plant import Plant, top_speed
 from ambrose.model.uncertainty import reduce_from
 from ambrose.options import choose, settings
 from ambrose.registry import registered
+from ambrose.synthesis.fixed_order.channels import lateness
 from ambrose.synthesis.methods import Lowered, Method, methods
 from ambrose.synthesis.order_selection import reduce_order
 
@@ -53,6 +62,10 @@ _PEAK = "maximum singular value of a sensitivity"
 _TRIED = 6  # bending modes
 _SHOWN = 3  # of those that bar a design
 _TWO_PI = 2 * np.pi  # rad/s per Hz
+_LIGHT = 0.05  # damping ratio of a pole that is told of where a requirement is missed
+_AROUND = 1.3  # times the top speed: critical speeds near it
+_COSTLY = np.radians(70)  # of lag at a mode: what leads by more lets noise and other modes through
+_NEAR = 0.06  # of a bending frequency at rest: gyroscopic moments part a mode's two
 
 
 def explained(
@@ -484,25 +497,94 @@ def design(
     result = certify_envelope(envelope_of(plant), result, timing)
     envelope = getattr(chosen, "envelope", None)
     result = explained(plant, result, timing, modes, envelope=envelope)
+    missed = result.gamma > 1 or "unmet_checks" in result.certificate.margins
+    if result.method == "tuned" and missed:
+        poor = _poor(plant, result, timing)
+        bar = _barred(plant.machine, poor) or _late(plant, timing, poor)
+        result = replace(result, notes=(*result.notes, *filter(None, [bar])))
     return replace(result, provenance=provenance(plant, chosen))
 
 
-def _barred(machine: Machine) -> str:
-    """The bending modes that bar a design, the places that make them do so, and what to move."""
-    if not machine.bearings or not (driven := driven_modes(machine)):
+def _barred(machine: Machine, poor: Collection[float] | None = None) -> str:
+    """The bending modes that bar a design, the places that make them do so, and what to move; poor
+    [rad/s]: of a loop, where it is poor (None: there is no loop).
+    """
+    if not machine.bearings:
         return ""
-    modes = [
-        f"bending mode {mode} ({frequency / _TWO_PI:.3g} Hz), in which magnet and sensor {bearing} "
-        "move oppositely"
-        for mode, (frequency, bearing) in driven.items()
+    places = {bearing.name: bearing.position for bearing in machine.bearings}
+    placed, lead = badly_placed(machine), "what bars it is"
+    if poor is not None:
+        near = {
+            mode: any(abs(w - at) < _NEAR * at for w in poor) for mode, (at, *_) in placed.items()
+        }
+        placed = {mode: row for mode, row in placed.items() if near[mode]}
+    elif driven := driven_modes(machine):
+        placed = {k: (w, "", {name: places[name]}) for k, (w, name) in driven.items()}
+        lead = "what damps the others drives"
+    if not placed:
+        return ""
+    words, moves = [], dict[str, None]()
+    for mode, (frequency, kind, moved) in placed.items():
+        names, several = " and ".join(moved), len(moved) > 1
+        what = f"near whose node {kind}{'s' * several} {names} stand{'s' * (not several)}"
+        if not kind:
+            what = f"in which magnet and sensor {names} move oppositely"
+        if kind == "loud sensor":
+            what = f"which sensor{'s' * several} {names} read{'s' * (not several)} far larger than "
+            what += "it is at the magnet"
+        words.append(f"bending mode {mode} ({frequency / _TWO_PI:.3g} Hz), {what}")
+        part = "magnet" if kind == "magnet" else "sensor"
+        along = (" and its sensor", "") if kind == "magnet" else ("", ", to the magnet")
+        moves |= dict.fromkeys(
+            f"{part} {name}{along[0]} towards {1e3 * at:.4g} mm{along[1]}"
+            for name, at in moved.items()
+        )
+    both = ", or read on both its sides" * any(move.startswith("sensor") for move in moves)
+    return f"{lead} {'; '.join(words[:_SHOWN])}; move {', '.join(moves)}{both}"
+
+
+def _late(plant: Plant, timing: Timing | None, poor: Collection[float]) -> str:
+    """The bending modes at which a loop is poor and so late that no rate of the displacement damps
+    them; "" for none.
+    """
+    judged = judged_bending(plant.machine)
+    near = [k for k, at in enumerate(judged) if any(abs(w - at) < _NEAR * at for w in poor)]
+    lag = np.zeros(len(judged))
+    if near:
+        path = frequency_response(
+            amplifier.linearised(plant.machine.amplifier, ["a"]), np.asarray(judged)
+        )
+        lag = -np.unwrap(np.r_[0.0, np.angle(path.values[:, 0, 0])])[1:]
+        lag -= np.unwrap(np.angle(lateness(judged, timing))) if timing is not None else 0.0
+    late = [k for k in near if lag[k] > _COSTLY]
+    if not late:
+        return ""
+    words = [
+        f"bending mode {k + 1} ({judged[k] / _TWO_PI:.3g} Hz), where they cost "
+        f"{np.degrees(lag[k]):.0f} degrees"
+        for k in late[:_SHOWN]
     ]
-    names = dict.fromkeys(bearing for _, bearing in driven.values())
-    places = {bearing.name: 1e3 * bearing.position for bearing in machine.bearings}
-    moved = ", ".join(f"sensor {name} towards {places[name]:.4g} mm" for name in names)
-    return (
-        f"what damps the others drives {'; '.join(modes[:_SHOWN])}; move {moved}, to the magnet, "
-        "or read on both its sides"
-    )
+    return f"sampling, delay and amplifier come too late for {'; '.join(words)}: sample faster"
+
+
+def _poor(plant: Plant, result: Synthesis, timing: Timing | None) -> list[float]:
+    """The bending modes [rad/s] around which sigma_max(S_o) is above its limit, at all points, and
+    the light poles of those that `verify` holds, or that stand near the speed.
+    """
+    limit = demand(_PEAK, plant.machine.requirements).limit or SENSITIVITY.limits[0].value
+    top, judged = top_speed(plant.machine), judged_bending(plant.machine)
+    found: list[float] = []
+    for place in envelope_of(plant):
+        runs = law_of(result.law).at(place.point)
+        loop = closed_loop(place, runs if timing is None else timing.in_loop(runs))
+        own = modes(loop, place.ports, place.system)
+        held = max(held_to(own, top)[0], _AROUND * top)
+        found += own.frequency[(own.damping < _LIGHT) & (own.frequency <= held)].tolist()
+        S = select(loop, [f"d_{a}" for a in place.axes], [f"y_{a}" for a in place.axes])
+        near = judged[:, None] * np.linspace(1 - _NEAR, 1 + _NEAR, 41)
+        peaks = frequency_response(S, near.ravel()).max_singular_value().reshape(near.shape)
+        found += judged[peaks.max(axis=1) > limit].tolist()
+    return found
 
 
 def another_point(plant: Plant, method: Method) -> str:

@@ -37,6 +37,7 @@ from ambrose.annexes.rotordynamics.levels import OVERDAMPED, shares
 from ambrose.annexes.rotordynamics.loop import free_bending, shaft_loop
 from ambrose.annexes.rotordynamics.page import (
     assumed_table,
+    campbell_figure,
     lateral_page,
     level_one_figure,
     load_table,
@@ -717,27 +718,67 @@ def test_modes_above_the_running_speed_are_listed_and_not_judged():
     assert limits == ["≥ 0.1" if mode.frequency <= 6000 * RPM else "-" for mode in modes]
 
 
-def test_damped_mode_shapes_are_drawn_for_every_mode_of_the_table():
+def test_damped_mode_shapes_are_drawn_for_every_mode_of_the_table_and_turn_as_they_whirl():
     result = amb.lateral(films(modulus=70), trip=6300 * RPM)
     modes = [row.mode for row in result.modes]
     figure = shapes_figure(result.layout, modes)
-    solid = [t for t in figure.data if t.line.dash == "solid" and t.line.width == 2]
-    assert len(solid) == len(modes)
-    for drawn, mode in zip(solid, modes, strict=True):
-        assert np.abs(drawn.y).max() == pytest.approx(1.0)
-        # on equal films a mode is a circle: of a backward one the forward part is nothing
-        z = mode.dominant_line()
-        np.testing.assert_allclose(drawn.y, z.real, atol=1e-6)
-        assert np.abs(z.imag).max() < 0.5
-    bending = modes[-1].dominant_line().real
-    assert np.count_nonzero(np.diff(np.sign(bending))) == 3  # second bending: three nodes
-    headings = [note.text for note in figure.layout.annotations if "log decrement" in note.text]
-    assert [mode.way in text for mode, text in zip(modes, headings, strict=True)] == [True] * len(
-        modes
-    )
+    (words,) = [trace for trace in figure.data if trace.mode == "text"]
+    for mode, text in zip(modes, words.text[: len(modes)], strict=True):
+        assert f"{mode.frequency / (2 * np.pi):.4g} Hz" in text and mode.way in text
+    height = np.array(words.z[: len(modes)]) - 1.1  # a heading stands so far above its row
+    turn = []
+    for frame in figure.frames:
+        line = np.stack([frame.data[0].y, frame.data[0].z], axis=1).reshape(len(modes), -1, 2)
+        turn.append(line[:, :-1] - np.stack([0 * height, height], axis=1)[:, None])
+    turn = np.array(turn)  # (steps, modes, stations, 2)
+    size = np.linalg.norm(turn, axis=-1)
+    assert size.max(axis=(0, 2)) == pytest.approx(1.0, abs=0.02)
+    z = turn[..., 0] + 1j * turn[..., 1]
+    for k, mode in enumerate(modes):
+        # on equal films a mode is a circle: every step turns it by a twentieth, by its whirl's sense
+        at = size[0, k].argmax()
+        step = np.angle(z[1:, k, at] / z[:-1, k, at])
+        sense = 1 if mode.way == "forward" else -1
+        assert step == pytest.approx(sense * 2 * np.pi / len(turn), rel=0.05)
+    bent = z[0, -1] / z[0, -1, np.abs(z[0, -1]).argmax()]
+    assert np.count_nonzero(np.diff(np.sign(bent.real))) == 3  # second bending: three nodes
+    first, second = figure.layout.updatemenus
+    assert [button.label for button in first.buttons] == ["play", "pause"]
+    assert {*first.buttons[0].args[0]} == {frame.name for frame in figure.frames}
+    assert [button.label for button in second.buttons] == ["oblique", "side", "end"]
     page = lateral_page(result)
     (section,) = [part for part in page.sections if part.title == "Stability, Level II"]
-    assert section.figures[0].title == "Damped mode shapes"
+    titles = [figure.title for figure in section.figures]
+    assert titles == ["Campbell diagram of the loop", "Damped mode shapes"]
+
+
+def test_the_campbell_diagram_has_the_table_s_modes_in_the_colour_of_their_damping():
+    result = amb.lateral(films(modulus=70), trip=6300 * RPM)
+    figure = campbell_figure(result)
+    classes = [trace for trace in figure.data if trace.name]
+    for trace in classes:
+        low, high = {
+            "log decrement below 0: unstable": (-np.inf, 0.0),
+            "log decrement 0 to 0.1: below the limit": (0.0, 0.1),
+            "log decrement 0.1 to 0.3": (0.1, 0.3),
+            "log decrement 0.3 to 1": (0.3, 1.0),
+            "log decrement above 1": (1.0, np.inf),
+        }[trace.name]
+        assert ((low <= trace.customdata) & (trace.customdata <= high)).all()
+    speed, hertz, decrement = (
+        np.concatenate([getattr(trace, key) for trace in classes])
+        for key in ("x", "y", "customdata")
+    )
+    marks = np.concatenate([trace.marker.symbol for trace in classes])
+    top = speed[np.abs(speed - 6000).argmin()]
+    assert top == pytest.approx(6000, rel=1e-6)  # it runs through the speed of the table
+    for row in result.modes:
+        away = np.abs(hertz[speed == top] / (row.mode.frequency / (2 * np.pi)) - 1)
+        at = away.argmin()
+        assert away[at] < 1e-4
+        assert decrement[speed == top][at] == pytest.approx(row.mode.log_decrement, rel=1e-3)
+        mark = {"forward": "triangle-up", "backward": "triangle-down"}.get(row.mode.way, "circle")
+        assert marks[speed == top][at] == mark
 
 
 def test_sensitivity_is_judged_at_every_operating_point():

@@ -300,7 +300,8 @@ def test_a_machine_runs_between_its_turning_points_where_nobody_says_so(
 
     monkeypatch.setattr(tuning, "tuned", again)
     found = SimpleNamespace(gamma=0.7, controller=START, filters=None)
-    result = tuning._separated(job, found, "free")
+    monkeypatch.setattr(tuning, "_light", lambda *_: 0.0)
+    result = tuning._as_judged(job, found, "free")
     assert (result is found) == (taken == "found")
     assert asked == ([] if other is None else [(min(own), max(own))])
 
@@ -458,7 +459,7 @@ def test_more_freedom_never_gives_less(monkeypatch, gammas):
     relaxed = replace(MACHINE.requirements, control_gain=1e9)
     machine = replace(MACHINE, requirements=relaxed)
     plants = [assemble(machine, point) for point in machine.operation.envelope][:1]
-    monkeypatch.setattr(tuning, "_separated", lambda job, found, structure: found)
+    monkeypatch.setattr(tuning, "_as_judged", lambda job, found, structure: found)
     asked = []
 
     def searched(job, law, structure, **more):

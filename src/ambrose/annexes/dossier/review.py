@@ -275,6 +275,7 @@ def pages_of(result: Review, **options: Any) -> Iterator[tuple[str, Page]]:
 @click.option("--revision", help="Of the document.")
 @click.option("--author", help="Who answers for it.")
 @click.option("--logo", help="A picture (*.svg, *.png, *.jpg).")
+@click.option("--docx", is_flag=True, help="The page to edit, too: review.docx, without figures.")
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), default=Path("review"), show_default=True
 )
@@ -286,6 +287,7 @@ def review_command(
     speed: str | None,
     bearings: str | None,
     output: Path,
+    docx: bool,
     as_json: bool,
     **words: str | None,
 ) -> None:
@@ -298,8 +300,10 @@ def review_command(
     from ambrose.chain.new_machine import is_machine, machine_file_of
     from ambrose.judge.controller_file import controller_text
     from ambrose.machine.ordinary_file import make_folder, set_aside, write_files
-    from ambrose.report.page import brand_of, render
+    from ambrose.report.page import brand_of, document, documents, render
 
+    if docx:
+        documents()
     brand = brand_of(Path(click.get_app_dir("ambrose")) / DEFAULTS, words)
     if not is_machine(rotor):
         make_folder(output)
@@ -325,6 +329,9 @@ def review_command(
         files |= {
             f"{name}.html": render(replace(page, brand=brand)) for name, page in pages.items()
         }
+        if docx:
+            page = replace(pages["review"], brand=brand)
+            files["review.docx"] = document(page, "review.html")
         for name in sorted({"lateral.html", "landing.html"} - {*files}):  # of another review
             set_aside(output / name)
         write_files(output, files)

@@ -611,6 +611,7 @@ def lateral(
     knots = speed_knots(machine, slowest, math.inf)
     far = reach(loop_at, slowest, (lowest, highest), trip, knots)
     unstable = _unstable_at(at_top, loop_at, law, timing, (lowest, highest, trip))
+    bare = replace(bare, along=far.along)
     if unstable is None and far.unstable is not None:
         unstable = _pole_in_words(*far.unstable)
     progress("modes")
@@ -818,7 +819,7 @@ def _unstable_at(
     for speed in sorted({at_top.point.speed, *speeds}):
         loop = at_top if speed == at_top.point.speed else loop_at(speed)
         if law is None:
-            abscissa = float(loop.all_modes().real.max())
+            abscissa = float(loop.all_modes().poles.real.max())
         else:
             abscissa = judge_stability(loop.plant, law, timing).abscissa
         if abscissa >= 0:

@@ -127,7 +127,7 @@ def sweep(
         return moved
 
     def abscissa(q: float) -> float:
-        return float(coupled(q).all_modes().real.max())
+        return float(coupled(q).all_modes().poles.real.max())
 
     if abscissa(0.0) >= 0:
         raise NumericalFailure(
@@ -150,7 +150,7 @@ def sweep(
     binding: int | None = None
     crossing = math.nan
     if math.isfinite(border):
-        poles = coupled(border).all_modes()
+        poles = coupled(border).all_modes().poles
         crossing = abs(float(poles[np.argmax(poles.real)].imag))
         near = [k for k, b in enumerate(branches) if abs(b.border - border) <= _SAME * border]
         if near:

@@ -17,10 +17,10 @@ import numpy as np
 from scipy.linalg import lu_factor, lu_solve
 
 from ambrose.annexes.rotordynamics.stations import Layout
-from ambrose.core.aliasing import continuous_poles
 from ambrose.core.checks import NumericalFailure
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace
+from ambrose.judge.campbell import Modes, modes
 from ambrose.law.law import LawLike, law_of
 from ambrose.law.loop import Timing, closed_loop, running_law
 from ambrose.machine.description import OperatingPoint
@@ -151,16 +151,13 @@ class ShaftLoop:
             "take a finer sweep, or check that the mode exists at both ends"
         )
 
-    def all_modes(self) -> np.ndarray:
-        """Poles (m,) [1/s] with Im >= 0 of the loop as it runs, by ascending modulus."""
-        if self.law is None:
-            values = np.linalg.eigvals(self.A)
-        else:
-            system = replace_system(self.plant.system, self.A)
+    def all_modes(self) -> Modes:
+        """The modes of the loop as it runs, by ascending modulus."""
+        system = replace_system(self.plant.system, self.A)
+        loop = system
+        if self.law is not None:
             loop = closed_loop(replace(self.plant, system=system), self.law)
-            values = continuous_poles(loop.A, loop.dt, system.A)[0]
-        kept = values[values.imag >= 0]
-        return kept[np.argsort(np.abs(kept))]
+        return modes(loop, self.plant.ports, system)
 
 
 def replace_system(system: StateSpace, A: np.ndarray) -> StateSpace:

@@ -24,12 +24,13 @@ from ambrose.annexes.rotordynamics.response import Separation, UnbalanceResponse
 from ambrose.annexes.rotordynamics.result import Item, Lateral, not_finite
 from ambrose.annexes.rotordynamics.stations import Layout
 from ambrose.core.presentation import with_unit
+from ambrose.judge.campbell import OSCILLATORY, PLANAR
 from ambrose.law.loop import timing_in_words
 from ambrose.machine.machine import Machine
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
 from ambrose.model.effects.stations import IMPULSE, SURGE, Load
 from ambrose.report import theme
-from ambrose.report.figures.rotor_drawing import machine_drawing
+from ambrose.report.figures.rotor_drawing import Whirl, machine_drawing, whirl_figure
 from ambrose.report.identification import responses_figure
 from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict, numbers
 from ambrose.report.tables import assumed_table
@@ -280,37 +281,74 @@ def placement_figure(layout: Layout, response: UnbalanceResponse) -> Any:
 
 
 def shapes_figure(layout: Layout, modes: Sequence[ShaftMode]) -> Any:
-    """The shape of every damped mode along the shaft, with its frequency, whirl and log decrement;
-    journals as lines.
+    """The shape of every damped mode in space, with its frequency, whirl and log decrement, and the
+    orbits at the journals and probes.
     """
-    gap = 0.27 / len(modes)  # for a heading, of all panels together
-    figure = theme.subplots(rows=len(modes), cols=1, shared_xaxes=True, vertical_spacing=gap)
-    x = MM * layout.positions
-    for row, mode in enumerate(modes, 1):
-        place, line = {"row": row, "col": 1}, mode.dominant_line()
-        theme.guide(figure, place, [x[0], x[-1]], [0, 0], color=theme.MUTED, width=1)
-        for values, dash in ((line.imag, "dash"), (line.real, "solid")):
+    shapes = [
+        Whirl(
+            mode.shape,
+            f"{standard.rpm(mode.frequency)} rpm ({mode.frequency / (2 * np.pi):.4g} Hz), "
+            f"{mode.way}, log decrement {mode.log_decrement:.3g}",
+            {"forward": True, "backward": False}.get(mode.way),
+        )
+        for mode in modes
+    ]
+    marks = [("bearing", item.name, item.position) for item in layout.journals]
+    marks += [("sensor", item.name, item.position) for item in layout.readings]
+    return whirl_figure(layout.positions, shapes, marks)
+
+
+def campbell_figure(result: Lateral) -> Any:
+    """Frequencies of the poles that ring over the speed, coloured by their log decrement, with
+    marks by whirl and the line of the speed itself.
+    """
+    figure = theme.subplots(rows=1, cols=1)
+    table = np.hstack(
+        [
+            np.array([np.full(len(own.poles), speed), own.frequency, own.log_decrement, own.whirl])[
+                :, (own.damping < OSCILLATORY) & (own.poles.imag > 0)
+            ]
+            for speed, own in result.along
+        ]
+    )
+    decrement, whirl = table[2:]
+    least = standard.LEAST_LOG_DECREMENT
+    high = result.modes_to / (2 * np.pi)
+    rpm, hertz = table[0] / standard.RPM, table[1] / (2 * np.pi)
+    low = -np.inf
+    for top, colour, name in (
+        (0.0, theme.LIMIT, "below 0: unstable"),
+        (least, "#e69f00", f"0 to {least:g}: below the limit"),
+        (3 * least, "#0072b2", f"{least:g} to {3 * least:g}"),
+        (1.0, "#56b4e9", f"{3 * least:.1g} to 1"),
+        (np.inf, "#b9c3cb", "above 1"),
+    ):
+        own = (low <= decrement) & (decrement < top) & (hertz <= high)
+        low = top
+        if own.any():
+            marks = np.where(whirl > PLANAR, "triangle-up", "triangle-down")
+            marks = np.where(np.abs(whirl) <= PLANAR, "circle", marks)
             theme.scatter(
                 figure,
-                place,
-                np.float32(x),
-                np.float32(values),
-                line={"color": "#0072b2", "width": 2 if dash == "solid" else 1.3, "dash": dash},
+                _ONE,
+                np.float32(rpm[own]),
+                np.float32(hertz[own]),
+                f"log decrement {name}",
+                shown=True,
+                mode="markers",
+                marker={"size": 6, "color": colour, "symbol": marks[own].tolist()},
+                customdata=np.float32(decrement[own]),
+                hovertemplate="%{x:.5g} rpm: %{y:.4g} Hz, log decrement %{customdata:.3g}"
+                "<extra></extra>",
             )
-        for journal in layout.journals:
-            at = MM * journal.position
-            theme.guide(figure, place, [at, at], [-1, 1], color=theme.MUTED, width=1, dash="dot")
-            if row == 1:
-                below = np.interp(at, x, line.real) >= 0
-                edge, side = (-1, "bottom") if below else (1, "top")
-                words = theme.plain(journal.name)
-                theme.note(figure, place, words, at, edge, "left", side, xshift=3)
-        hertz = mode.frequency / (2 * np.pi)
-        heading = f"{standard.rpm(mode.frequency)} rpm ({hertz:.4g} Hz), {mode.way}"
-        theme.heading(figure, place, f"{heading}, log decrement {mode.log_decrement:.3g}")
-    theme.dress(figure, 110 * len(modes), legend=False, lines=1)
-    figure.update_yaxes(showticklabels=False, ticks="", range=[-1.3, 1.3])
-    figure.update_xaxes(title_text="Position [mm]", row=len(modes), col=1)
+    last = float(rpm.max())
+    line = min(last, 60 * high)
+    theme.guide(figure, _ONE, [0, line], [0, line / 60], color=theme.INK, width=1, dash="dot")
+    for at in sorted({item / standard.RPM for item in result.speeds}):
+        theme.guide(figure, _ONE, [at, at], [0, high], color=theme.MUTED, width=1, dash="dot")
+    theme.dress(figure, 360, legend=True, lines=1)
+    figure.update_xaxes(title_text="Speed [rpm]", range=[0, last])
+    figure.update_yaxes(title_text="Frequency [Hz]", range=[0, high])
     return figure
 
 
@@ -449,6 +487,11 @@ _LEVEL_TWO = (
     "running speed; modes above it are listed for information. Below each mode the largest "
     "contributions to its log decrement: all contributions add up to it, negative ones destabilise."
 )
+_CAMPBELL = (
+    "All poles that ring, those of the controller too: up forward, down backward, round planar. "
+    "Dotted: once per revolution; lowest, highest running and trip speed. Where a forward mode "
+    "meets the rising line is a critical speed."
+)
 _CAPACITY = (
     "Dynamic force amplitude (0-p) available on a control axis, limited by bias current, maximum "
     "current, maximum force and the slew rate at the amplifier voltage: in the direction of the "
@@ -564,10 +607,14 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
         shapes = Figure(
             "Damped mode shapes",
             shapes_figure(result.layout, [row.mode for row in result.modes]),
-            "Of each mode the forward or backward part, whichever is larger, scaled to its largest "
-            "deflection: solid in the plane of that deflection, dashed across it.",
+            "Each scaled to its largest deflection, its decay left out. Orbits: blue forward, red "
+            "backward, grey planar; thick at bearings and, black, at probes.",
         )
-        sections.append(Section("Stability, Level II", two, (shapes,), (modes_table(result),)))
+        pictures: tuple[Figure, ...] = (shapes,)
+        if result.along:
+            over = Figure("Campbell diagram of the loop", campbell_figure(result), _CAMPBELL)
+            pictures = (over, shapes)
+        sections.append(Section("Stability, Level II", two, pictures, (modes_table(result),)))
     if result.rubs:
         sections.append(Section("Clearances", "", (), (clearance_table(result),)))
     if result.capacities:

@@ -66,15 +66,6 @@ class ShaftMode:
         z = self.shape[:, 0] + 1j * self.shape[:, 1]
         return np.asarray(z / z[np.argmax(np.abs(z))])
 
-    def dominant_line(self) -> np.ndarray:
-        """The larger of forward and backward part z (s,), turned so that its largest value is 1:
-        real part in the plane of the largest deflection, imaginary part across it, seen along the
-        direction of whirl.
-        """
-        side = 1j if self.whirl >= 0 else -1j
-        z = self.shape[:, 0] + side * self.shape[:, 1]
-        return np.asarray(z / z[np.argmax(np.abs(z))])
-
     @property
     def way(self) -> str:
         """The direction of whirl in a word."""
@@ -89,7 +80,7 @@ def shaft_modes(loop: ShaftLoop, highest: float, above: float = 0.0) -> tuple[Sh
     filters that hardly move the shaft, and what is met twice.
     """
     found: list[ShaftMode] = []
-    for pole in loop.all_modes():
+    for pole in loop.all_modes().poles:
         if not above < pole.imag <= highest or damping_ratio(np.array([pole]))[0] > OSCILLATORY:
             continue
         # forward and backward circles: two modes of one pole, where nothing tells them apart

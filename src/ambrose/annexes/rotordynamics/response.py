@@ -20,6 +20,7 @@ from ambrose.annexes.rotordynamics.loop import ShaftLoop
 from ambrose.annexes.rotordynamics.placement import UnbalanceCase
 from ambrose.annexes.rotordynamics.stations import Layout, Reading
 from ambrose.core.checks import InvalidInput
+from ambrose.judge.campbell import Modes
 from ambrose.judge.unbalance import orbit
 
 # How far the unbalance response goes, and where it is computed first.
@@ -42,7 +43,7 @@ class Reach:
     """asked [rad/s]: up to where the response must go; end: up to where it goes; why: what ends it
     below asked, "" for nothing. through: speeds [rad/s] at which it is to be computed. unstable:
     the first speed up to trip at which a pole has a real part
-    [1/s], with it; None: there is none.
+    [1/s], with it; None: there is none. along: speeds [rad/s] with the modes there.
     """
 
     asked: float
@@ -50,6 +51,7 @@ class Reach:
     why: str
     through: tuple[float, ...]
     unstable: tuple[float, float] | None
+    along: tuple[tuple[float, Modes], ...] = ()
 
 
 def reach(
@@ -73,20 +75,22 @@ def reach(
             break
         end = wanted
 
-    bends = [speed for speed in knots if slowest < speed < end]
+    bends = [speed for speed in (*running, *knots) if slowest < speed < end]
     speeds = np.union1d(first_speeds(slowest, end), [trip, *bends])
     step = float(np.diff(speeds).max())
     through = {trip, lowest, highest, min(asked, end)}
     unstable = None
+    along: list[tuple[float, Modes]] = []
     stable = trip
     for speed in map(float, speeds):
-        poles = loop_at(speed).all_modes()
+        along.append((speed, loop_at(speed).all_modes()))
+        poles = along[-1][1].poles
         abscissa = float(poles.real.max())
         # a run-up passes all speeds below the running ones
         if abscissa >= 0 and speed <= trip:
             unstable = unstable or (speed, abscissa)
         elif abscissa >= 0 and speed > trip:
-            end = _last(lambda w: loop_at(w).all_modes().real.max() < 0, stable, speed)
+            end = _last(lambda w: loop_at(w).all_modes().poles.real.max() < 0, stable, speed)
             if end < asked:
                 why = f"the loop is unstable above {standard.rpm(end)} rpm"
             break
@@ -96,7 +100,8 @@ def reach(
             size, half = abs(pole), abs(float(pole.real))
             if half < step:
                 through |= {size - half, size, size + half}
-    return Reach(asked, end, why, tuple(w for w in through if slowest < w < end), unstable)
+    inside = tuple(w for w in through if slowest < w < end)
+    return Reach(asked, end, why, inside, unstable, tuple(along))
 
 
 def _refusal(loop_at: Callable[[float], ShaftLoop], speed: float) -> str:

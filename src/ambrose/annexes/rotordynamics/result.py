@@ -21,6 +21,7 @@ from ambrose.annexes.rotordynamics.response import (
 )
 from ambrose.annexes.rotordynamics.stations import Layout
 from ambrose.core.presentation import Presented, data_frame
+from ambrose.judge.campbell import Modes
 from ambrose.machine.machine import Machine
 
 SCHEMA = 1  # version of lateral.json
@@ -160,7 +161,7 @@ class Lateral(Presented):
     critical_speeds: the tightest reading of each, with its probe and the placement. response
     None: the loop is unstable, and only ``items`` and modes are there. density: mean gas density
     [kg/m^3] that was given, None: none. modes_to [rad/s]: up to where modes are listed; limits are
-    for those up to the highest running speed.
+    for those up to the highest running speed. along: speeds [rad/s] with the modes there.
     """
 
     _FACTS: ClassVar = ("machine=machine_name", "passed", "failed")
@@ -185,6 +186,7 @@ class Lateral(Presented):
     density: float | None = None
     control: Control | None = None
     modes_to: float = 0.0
+    along: tuple[tuple[float, Modes], ...] = ()
 
     @property
     def machine_name(self) -> str:

@@ -1,5 +1,5 @@
 """The rotor to scale with its stations, and its free-free mode shapes beneath on the same axial
-axis.
+axis; shapes that whirl, in space.
 
 Shaft sections, bores, lamination (mass) diameters and discs are to scale, a disc as the cylinder
 that has its mass and inertias. Bearings, sensors, seals and couplings are symbols at their true
@@ -533,3 +533,187 @@ def _shapes(
             xshift=-8,
             font={"size": 12.5},
         )
+
+
+# Shapes that whirl, one above the other in space: the bent shaft, its orbits, and a turn of it to
+# play.
+
+
+_TURN = 20  # pictures of one turn
+_PLAYED = 15  # turns, until the next press
+_EVERY_MS = 70
+_RINGS = 15  # orbits along the shaft, but for those of marked places
+_POINTS = 61  # of the shaft at most
+_APART = 2.9  # rows, in largest deflections
+_ROW_HIGH = 125  # [px]
+_UNIT = 0.57  # of the height: a unit of the scene's proportions, seen without perspective
+_LONG = 640  # [px], of the shaft
+_AHEAD, _BACK = "#0072b2", "#d55e00"
+_VIEWS = {"oblique": (0.7, -2.0, 0.5), "side": (0.0, -2.0, 0.0), "end": (2.0, 0.0, 0.0)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Whirl:
+    """A shape: motion (s, 2), complex amplitudes in x and y of e^{j w t} at the stations; heading:
+    what it is; forward: the sense of its orbits, None for a line.
+    """
+
+    motion: np.ndarray
+    heading: str
+    forward: bool | None = None
+
+
+def whirl_figure(
+    positions: ArrayLike, shapes: Sequence[Whirl], marks: Sequence[tuple[str, str, float]] = ()
+) -> Any:
+    """Shapes in space, to be played; positions (s,) [m] of the stations; marks: (kind, name,
+    position [m]) of bearings and sensors, whose orbits are drawn in their colours. Returns a plotly
+    Figure.
+    """
+    import plotly.graph_objects as go
+
+    x = check_shape(positions, "positions", "(s,)") * 1e3
+    rows = []
+    for shape in shapes:
+        motion = np.asarray(shape.motion)
+        turned = motion[:, None] * np.exp(2j * np.pi * np.arange(_TURN) / _TURN)[:, None]
+        orbits = np.stack([turned[..., 0].real, turned[..., 1].real], axis=-1)  # (s, t, 2)
+        size = float(np.linalg.norm(orbits, axis=-1).max()) or 1.0
+        # at first the largest deflection points upwards
+        largest = int(np.linalg.norm(orbits, axis=-1).max(axis=1).argmax())
+        rows.append(np.roll(orbits, -int(orbits[largest, :, 1].argmax()), axis=1) / size)
+    kept = np.unique(np.linspace(0, len(x) - 1, min(_POINTS, len(x))).astype(int))
+    rings = kept[np.unique(np.linspace(0, len(kept) - 1, _RINGS).astype(int))]
+    low = [-_APART * k for k in range(len(rows))]
+    figure = go.Figure()
+    ends = x[[0, -1]]
+
+    def line(parts: Sequence[tuple[Any, Any, Any]], **look: Any) -> None:
+        figure.add_scatter3d(
+            **dict(zip("xyz", _joined(parts), strict=True)), mode="lines", hoverinfo="skip", **look
+        )
+
+    line([(ends, [0, 0], [z, z]) for z in low], line={"color": theme.MUTED, "width": 1})
+    for colour, forward in ((_AHEAD, True), (_BACK, False), (theme.MUTED, None)):
+        parts = [
+            _ring(x[k], row[k], z)
+            for row, z, shape in zip(rows, low, shapes, strict=True)
+            if shape.forward is forward
+            for k in rings
+        ]
+        if parts:
+            line(parts, line={"color": colour, "width": 1.5}, opacity=0.6)
+    for kind in dict.fromkeys(kind for kind, _, _ in marks):
+        places = [int(np.abs(x - 1e3 * at).argmin()) for own, _, at in marks if own == kind]
+        parts = [_ring(x[k], row[k], z) for row, z in zip(rows, low, strict=True) for k in places]
+        line(parts, line={"color": _KINDS[kind], "width": 5})
+
+    def bent(step: int) -> dict[str, Any]:
+        parts = [
+            (x[kept], row[kept, step, 0], z + row[kept, step, 1])
+            for row, z in zip(rows, low, strict=True)
+        ]
+        return dict(zip("xyz", _joined(parts), strict=True))
+
+    figure.add_scatter3d(
+        **bent(0), mode="lines", line={"color": theme.INK, "width": 7}, hoverinfo="skip"
+    )
+    moving = len(figure.data) - 1
+    words = [(ends[0], z + 1.1, shape.heading) for z, shape in zip(low, shapes, strict=True)]
+    named = [(name, at) for kind, name, at in marks if kind == "bearing"]
+    words += [(1e3 * at, low[-1] - 1.2, theme.axis_name(name)) for name, at in named]
+    figure.add_scatter3d(
+        x=[item[0] for item in words],
+        y=[0.0] * len(words),
+        z=[item[1] for item in words],
+        text=[theme.plain(item[2]) for item in words],
+        textposition=["top right"] * len(shapes) + ["bottom center"] * len(named),
+        textfont={"size": 13, "color": theme.INK},
+        mode="text",
+        hoverinfo="skip",
+    )
+    figure.frames = [
+        go.Frame(name=f"{k}", data=[{"type": "scatter3d", **bent(k)}], traces=[moving])
+        for k in range(_TURN)
+    ]
+    height = _ROW_HIGH * len(rows) + 70
+    theme.dress(figure, height, legend=False)
+    high = _APART * (len(rows) - 1) + 3.8
+    tall = 1.07 / _UNIT
+    unit = tall / high  # of the scene, per largest deflection
+    hidden = {"visible": False}
+    figure.update_layout(
+        meta={"room": 24, "least": _LEAST},
+        margin={"l": 0, "r": 0, "t": 40, "b": 0},
+        updatemenus=[_buttons(figure.frames), _views()],
+        scene={
+            "aspectmode": "manual",
+            "aspectratio": {"x": _LONG / (_UNIT * height), "y": 2.2 * unit, "z": tall},
+            "camera": _camera("oblique"),
+            "dragmode": False,
+            "xaxis": hidden,
+            "yaxis": {**hidden, "range": [-1.1, 1.1]},
+            "zaxis": {**hidden, "range": [low[-1] - 1.9, 1.9]},
+        },
+    )
+    return figure
+
+
+def _ring(x: float, orbit: np.ndarray, z: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    closed = np.vstack([orbit, orbit[:1]])
+    return np.full(len(closed), x), closed[:, 0], z + closed[:, 1]
+
+
+def _joined(parts: Sequence[tuple[Any, Any, Any]]) -> list[np.ndarray]:
+    """Lines as one, with gaps between them."""
+    gap = [np.nan]
+    return [
+        np.concatenate([piece for part in parts for piece in (part[k], gap)]).astype(np.float32)
+        for k in range(3)
+    ]
+
+
+def _camera(view: str) -> dict[str, Any]:
+    eye = dict(zip("xyz", _VIEWS[view], strict=True))
+    return {"projection": {"type": "orthographic"}, "eye": eye, "center": {"x": 0, "y": 0, "z": 0}}
+
+
+def _menu(buttons: list[dict[str, Any]], x: float, anchor: str) -> dict[str, Any]:
+    place = {"x": x, "xanchor": anchor, "y": 1.0, "yanchor": "bottom", "pad": {"b": 4}}
+    font = {"size": 13, "color": theme.INK}
+    look = {"bgcolor": "white", "bordercolor": theme.MUTED, "font": font}
+    return {
+        "type": "buttons",
+        "direction": "left",
+        "showactive": False,
+        "buttons": buttons,
+        **place,
+        **look,
+    }
+
+
+def _buttons(frames: Sequence[Any]) -> dict[str, Any]:
+    """Play some turns, and pause."""
+    pace = {"frame": {"duration": _EVERY_MS, "redraw": True}, "transition": {"duration": 0}}
+    names = [frame.name for frame in frames] * _PLAYED
+    stop = {"frame": {"duration": 0, "redraw": True}, "mode": "immediate"}
+    return _menu(
+        [
+            {"label": "play", "method": "animate", "args": [names, {**pace, "mode": "immediate"}]},
+            {"label": "pause", "method": "animate", "args": [[None], stop]},
+        ],
+        0.0,
+        "left",
+    )
+
+
+def _views() -> dict[str, Any]:
+    """The places from which the shapes are seen."""
+    return _menu(
+        [
+            {"label": name, "method": "relayout", "args": [{"scene.camera": _camera(name)}]}
+            for name in _VIEWS
+        ],
+        1.0,
+        "right",
+    )

@@ -20,12 +20,13 @@ import numpy as np
 from ambrose.core.checks import NumericalFailure, named_failure
 from ambrose.core.frequency import frequency_response, largest_gain
 from ambrose.core.statespace import StateSpace, select
+from ambrose.judge.campbell import held_to, modes, pole_checks
 from ambrose.judge.result import Certificate, Status, Synthesis, certify, fastest_pole
 from ambrose.judge.verdict import search
-from ambrose.law.loop import Timing
+from ambrose.law.loop import Timing, closed_loop
 from ambrose.machine.part import PidSettings
 from ambrose.model.assemble import assemble
-from ambrose.model.plant import Plant
+from ambrose.model.plant import Plant, top_speed
 from ambrose.model.static_load import running_range
 from ambrose.model.uncertainty import (
     in_tolerances,
@@ -37,6 +38,7 @@ from ambrose.model.uncertainty import (
 )
 from ambrose.synthesis.fixed_order.bank import FilterBank, advice, at_limits, filter_bank
 from ambrose.synthesis.fixed_order.channels import (
+    MARGIN,
     Aims,
     LoopModel,
     lateness,
@@ -235,32 +237,61 @@ def tune_controller(
     found = tuned(job, law, structure, otherwise=otherwise)
     if found.gamma > 1 and not found.stopped_early:
         found = _better(job, found, law, otherwise, structure)
-    return _separated(job, found, structure) if found.gamma <= 1 else found
+    return _as_judged(job, found, structure) if found.gamma <= 1 else found
 
 
-def _separated(job: Job, found: Synthesis, structure: str) -> Synthesis:
-    """With the modes damped near the speeds between which `verify` takes a machine to run whose
-    file states no running_speeds; the same where that is so already, or cannot be had without
-    missing another requirement.
+def _as_judged(job: Job, found: Synthesis, structure: str) -> Synthesis:
+    """With what `verify` asks beyond the aims, each the same where that is so already, or cannot be
+    had without missing another requirement: modes damped near the speeds between which it takes a
+    machine to run whose file states no running_speeds; the decrement of the first forward mode,
+    which is a bending one where the rigid ones do not ring.
     """
-    points = job.full[0].machine.operation.envelope
-    running = running_range(job.aims.running, (point.speed for point in points))
-    if job.aims.running is not None or running is None or not job.aims.unbalance:
-        return found
-    again = replace(job, aims=replace(job.aims, running=running), narrowed=False, most_states=None)
+    points, aims = job.full[0].machine.operation.envelope, job.aims
+    running = running_range(aims.running, (point.speed for point in points))
+    if aims.running is None and running is not None and aims.unbalance:
+        near = f"a critical speed is too near {running[0]:.4g} to {running[1]:.4g} rad/s"
+        aims = replace(aims, running=running)
+        found, aims = _stricter(job, found, structure, aims, near)
+    if (light := _light(job, found)) and not (aims.damping_asked and aims.guard >= aims.damping):
+        aims = replace(aims, damped_to=float(warped(MARGIN * np.array([light]), job.timing)[0]))
+        words = f"a mode up to {light:.4g} rad/s is too lightly damped"
+        found, _ = _stricter(job, found, structure, aims, words)
+    return found
+
+
+def _stricter(
+    job: Job, found: Synthesis, structure: str, aims: Aims, why: str
+) -> tuple[Synthesis, Aims]:
+    """What meets these aims, with them; what was found and the job's own where nothing does."""
+    again = replace(job, aims=aims, narrowed=False, most_states=None)
     law = found.controller if found.filters is None else found.filters
     if _judged(again, law, job.models).worst <= 1:
-        return found
-    job.say(
-        f"a critical speed is too near the running speeds, {running[0]:.4g} to {running[1]:.4g} "
-        "rad/s: tuning on"
-    )
+        return found, aims
+    job.say(f"{why}: tuning on")
     try:
         other = tuned(again, law, structure)
     except NumericalFailure as error:
         job.say(str(error))
-        return found
-    return other if other.gamma <= 1 else found
+        return found, job.aims
+    return (other, aims) if other.gamma <= 1 else (found, job.aims)
+
+
+def _light(job: Job, found: Synthesis) -> float:
+    """Up to where modes are held against the log decrement [rad/s], the highest of the points at
+    which one misses it; 0: none does.
+    """
+    runs = found.controller if job.timing is None else job.timing.in_loop(found.controller)
+    reached = [0.0]
+    for plant in job.full:
+        own = modes(closed_loop(plant, runs), plant.ports, plant.system)
+        top, wanted = top_speed(plant.machine), plant.machine.requirements
+        ceiling, _ = held_to(own, top)
+        held = any(
+            check.name == "poles.log_decrement.lowest" and check.passed is False
+            for check in pole_checks(own, wanted, top)
+        )
+        reached.append(ceiling * held)
+    return max(reached)
 
 
 def _better(
