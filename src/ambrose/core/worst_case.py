@@ -232,13 +232,12 @@ def _beside_poles(
     n, positive = len(loop.owner), grid > 0
     omega = grid[positive]
     M11 = M[positive, :n, :n]
-    h = determinants_at(M11, loop.owner, members)
+    h = determinants_at(M11, loop.owner, members, loop.ports)
 
     # Newton's step in ln s from j omega to a zero of h: -1 / (d ln h / d ln s)
+    beside = loop.at(omega * (1 + _STEP))[:, :n, :n]
     with np.errstate(all="ignore"):
-        shift = -_STEP / (
-            determinants_at(loop.at(omega * (1 + _STEP))[:, :n, :n], loop.owner, members) / h - 1
-        )
+        shift = -_STEP / (determinants_at(beside, loop.owner, members, loop.ports) / h - 1)
 
     # between grid points, and closer to the axis than they are to each other: the peak hides
     gap = np.gradient(np.log(omega)) if len(omega) > 1 else np.ones(1)

@@ -293,7 +293,7 @@ def _determinants(part: Sweep, loop: BoxLoop, delta: np.ndarray) -> tuple[np.nda
     h, beside = np.split(
         np.concatenate(
             [
-                determinants_at(both, loop.owner, delta[i : i + step])
+                determinants_at(both, loop.owner, delta[i : i + step], loop.ports)
                 for i in range(0, max(1, len(delta)), step)
             ]
         ),
@@ -342,17 +342,31 @@ class _Branching:
     leaf: np.ndarray  # (d,) the branch that holds each point
 
 
-def determinants_at(M11: np.ndarray, owner: np.ndarray, delta: np.ndarray) -> np.ndarray:
+def determinants_at(
+    M11: np.ndarray, owner: np.ndarray, delta: np.ndarray, shared: Ports | None = None
+) -> np.ndarray:
     """h = det(I - M11 diag(delta)), (d, w), for M11 (w, n, n), the parameter ``owner`` (n,) of each
-    channel, delta (d, k).
+    channel, delta (d, k). shared: the channels that all are made of, where they are known.
     """
     branching = _branching(owner, delta)
     if branching is not None:
         return _closed(M11, owner, delta, branching)
-    step = max(1, _HELD // M11.size)
-    parts = range(0, max(1, len(delta)), step)
+    if shared is None or len(shared.inputs) >= len(owner):
+        step = max(1, _HELD // M11.size)
+        parts = range(0, max(1, len(delta)), step)
+        return np.concatenate(
+            [_all_determinants(M11[None], delta[i : i + step, None, owner]) for i in parts]
+        )
+
+    # M11 = F N E: det(I - F N E diag(delta)) = det(I - E diag(delta) F N), of fewer channels
+    N = M11[:, shared.outputs[:, None], shared.inputs]
+    gain, identity = shared.gain(delta[:, owner]), np.eye(N.shape[2])
+    step = max(1, _HELD // (N.size + 1))
     return np.concatenate(
-        [_all_determinants(M11[None], delta[i : i + step, None, owner]) for i in parts]
+        [
+            np.linalg.det(identity - gain[i : i + step, None] @ N)
+            for i in range(0, max(1, len(delta)), step)
+        ]
     )
 
 

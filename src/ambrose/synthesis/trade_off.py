@@ -24,7 +24,7 @@ from ambrose.machine.units import DIMENSIONS, read_quantity, suggestion
 from ambrose.model.assemble import assemble
 from ambrose.synthesis.fixed_order.channels import aims_of
 from ambrose.synthesis.fixed_order.job import Job, Law, first_law, prepare, with_states
-from ambrose.synthesis.fixed_order.tuning import INTERRUPTED, tuned
+from ambrose.synthesis.fixed_order.tuning import AGAIN, INTERRUPTED, tuned
 from ambrose.synthesis.methods import Tuned
 
 ORDER = "order"
@@ -214,7 +214,7 @@ def lowest(
     for _ in range(trials):
         job.clock, aim = TimeLimit(time_limit), getattr(job.aims, lever)
         try:
-            found = tuned(job, law, structure, again=again)
+            found = tuned(job, law, structure, again=AGAIN * again)
         except NumericalFailure as error:
             progress(str(error))
             break

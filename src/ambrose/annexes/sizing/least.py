@@ -40,7 +40,7 @@ from ambrose.model.plant import top_speed
 from ambrose.model.static_load import operating_magnets, static_sag
 from ambrose.synthesis.design import design
 from ambrose.synthesis.fixed_order.job import Job, Law, first_law, prepare, with_states
-from ambrose.synthesis.fixed_order.tuning import INTERRUPTED, tuned
+from ambrose.synthesis.fixed_order.tuning import AGAIN, INTERRUPTED, tuned
 from ambrose.synthesis.methods import Mu, Tuned
 from ambrose.synthesis.trade_off import lowest
 
@@ -392,7 +392,7 @@ def _tuned(before: Trial, method: Tuned, near: Trial | None, time_limit: float) 
             job,
             law if near is None else _scaled(near, found),
             method.structure,
-            again=near is not None,
+            again=0 if near is None else AGAIN,
         )
     except NumericalFailure as error:
         return replace(before, binding=f"no controller was found: {error}")

@@ -154,8 +154,9 @@ INTERRUPTED = "interrupted"
 # where these are no worse than what was tuned on by more than this factor
 _SHARP, _ROOM = 60, 0.9
 _NEARLY = 1.03
-# the first of these rounds for a law that was tuned before, and for one with more states
-_AGAIN, _GROWN = 2, 1
+# the first of these rounds for a law that was tuned before, and for one with more states or one
+# more requirement
+AGAIN, _GROWN = 2, 1
 _ITERATIONS, _GAIN = 200, 1e-4  # steps of L-BFGS, a round, and what ten of them gain at least
 _HOLDING = 60  # of L-BFGS, towards a controller that holds all models
 _TRIES = 20  # times at most that this search is begun
@@ -263,13 +264,14 @@ def _stricter(
     job: Job, found: Synthesis, structure: str, aims: Aims, why: str
 ) -> tuple[Synthesis, Aims]:
     """What meets these aims, with them; what was found and the job's own where nothing does."""
-    again = replace(job, aims=aims, narrowed=False, most_states=None)
+    again = replace(job, aims=aims, most_states=None)
     law = found.controller if found.filters is None else found.filters
     if _judged(again, law, job.models).worst <= 1:
         return found, aims
     job.say(f"{why}: tuning on")
     try:
-        other = tuned(again, law, structure)
+        # a law that meets all else is near: neither fewer unknowns nor a low power come first
+        other = tuned(again, law, structure, again=_GROWN)
     except NumericalFailure as error:
         job.say(str(error))
         return found, job.aims
@@ -325,12 +327,18 @@ def _better(
 
 
 def tuned(
-    job: Job, law: Law, structure: str, *, again: bool = False, otherwise: Sequence[Law] = ()
+    job: Job,
+    law: Law,
+    structure: str,
+    *,
+    again: int = 0,
+    otherwise: Sequence[Law] = (),
 ) -> Synthesis:
-    """``tune_controller`` from a law on; again: it was tuned before with this job, only the last
-    rounds are made. otherwise: laws to begin with where it cannot be brought to hold all models.
+    """``tune_controller`` from a law on; again: so many of the first rounds are left out for one
+    that was tuned before with this job. otherwise: laws to begin with where it cannot be brought to
+    hold all models.
     """
-    powers = _POWERS[_AGAIN:] if again else _POWERS
+    powers = _POWERS[again:]
     reason: str | None = None
     rounds: list[_Round] = []
     history: list[dict[str, float]] = []
@@ -339,7 +347,7 @@ def tuned(
         law = _first_holding(job, (law, *otherwise))
         # what it begins with is the first that the best is chosen from
         rounds.append(_judged(job, law, job.models))
-        job.narrowed = again
+        job.narrowed = again > 0
         while best is None:
             reason = _improve(job, law, structure, powers, rounds, history)
             best = _best(job, rounds)
