@@ -38,7 +38,8 @@ _SHARP = 0.03  # of the logarithm of a damping ratio that is held
 _TIMES = 1.0  # of the file's values, by which they may be off
 _DECADES = 2.0  # of the logarithm of a damping ratio
 _APART = 0.3  # of the logarithm of the ratio of deflections at a magnet and at a sensor
-_WITHIN, _BEYOND, _YIELDS = 1.05, 2.5, 3.0  # times the highest line: modes, one beyond, what yields
+_WITHIN, _BEYOND = 1.05, 2.5  # times the highest line, to where modes are, and those beyond it
+_YIELDS = 3.0  # times it, what higher ones yield
 _PLACES = 30  # at which that one is tried
 _STEPPED = 0.1  # relative, by which those at one place stand apart
 _ORDER = 16  # poles of the look, of which noise and the rigid body take some; turning twice
@@ -394,14 +395,16 @@ def first_modes(
     G: np.ndarray,
     noise: np.ndarray,
     plant: Callable[[MeasuredLoop, np.ndarray], np.ndarray],
+    nearest: int,
 ) -> list[np.ndarray]:
     """The modes (numbers as ``Layout.with_mode`` takes them) that a plant measured between all axes
     shows beside a rigid rotor at theta, the clearest first, and last what higher ones yield.
 
     omega (w,) [rad/s], G (w, a, a), noise (w,) of G; plant(model, theta) (w, a, a): the same as G
-    of a model. What a mode adds is dG_ij = D_ij s_i m_j/(w_k^2 - w^2 + 2 j zeta w_k w); D, the way
-    through amplifier, hold and sensor, is told by a mode far above. Its poles are those of dG/D by
-    vector fitting (``core.rational_fit``), and s m' the residues' first singular pair.
+    of a model; nearest: so many modes at most at one frequency beyond the lines. What a mode adds
+    is dG_ij = D_ij s_i m_j/(w_k^2 - w^2 + 2 j zeta w_k w); D, the way through amplifier, hold and
+    sensor, is told by a mode far above. Its poles are those of dG/D by vector fitting
+    (``core.rational_fit``), and s m' the residues' first singular pair.
     """
     layout = model.layout
     b, far = len(layout.machine.bearings), _YIELDS * omega[-1]
@@ -456,9 +459,9 @@ def first_modes(
     tries = [(w, _DAMPING) for w in np.geomspace(_WITHIN, _BEYOND, _PLACES) * omega[-1]]
     cost, one = min((explained(one, yields)[0], one) for one in tries)
     beyond = [one] if explained(yields)[0] ** 2 - cost**2 > _TOLD**2 else []
-    for w, zeta in (*beyond, yields):
+    for (w, zeta), most in (*((one, nearest) for one in beyond), (yields, b)):
         U, sizes, V = np.linalg.svd(explained((w, zeta), yields)[1][0].reshape(b, b))
-        for k, size in enumerate(sizes):
+        for k, size in enumerate(sizes[:most]):
             if np.linalg.norm(size / _divisor(omega, w, zeta) / noise) > _TOLD:
                 shape, apart = size * np.outer(U[:, k], V[k]), 1 + _STEPPED * k
                 seen.append(_numbers(layout, w * apart, zeta, 0.0, apart**2 * shape))

@@ -98,7 +98,7 @@ _SHARE, _TELLING = 0.5, 60.0  # of the residuals that it explains; of twice the 
 _ALONE = 1e-4  # damping below which a single line is explained
 _MOST_RESONANCES, _PEAKS = 3, 12
 _MOST_MODES = 8  # of a measured rotor, unless more are asked for
-_LOOKS = 3  # from the rigid body of the last
+_LOOKS = 2  # from the rigid body of the last
 _ENOUGH = 1.05  # of the sum of squares over noise's, below which it does not look again
 _STEPS = 10  # of a fit with frequencies and damping held
 _CLOSE = 1e-5  # relative, of the steps with which that fit ends
@@ -347,22 +347,28 @@ def _without_drawing(
         refuse([one for one in told if one.code == Code.MIXED_CHANNELS])
         theta, steps = minimum.x, 0
     problem, minimum = _fitted(problem, layout, theta, steps)
-    for _ in range(_LOOKS):  # from a better rigid body the modes are seen better
+
+    # from a better rigid body the modes are seen better; of what lies beyond the lines the
+    # responses tell little, and what makes the loop unstable that ran is none
+    looks = [n for _ in range(_LOOKS) for n in range(len(machine.bearings), -1, -1)]
+    for nearest in looks:
         if layout.modes and problem.excess(minimum) < _ENOUGH:
             break
-        begin = minimum.x[: layout.rigid.stop]
+        begin = minimum.x
         try:
             for _ in range(_LOOKS):
-                larger, begin = _with_modes(problem, layout, begin[: layout.rigid.stop], most)
-                still = replace(larger, held="all")
-                begin = _fitted(below, still, begin, max_iterations)[1].x
+                begin = begin[: layout.rigid.stop]
+                larger, begin = _with_modes(problem, layout, begin, most, nearest)
+                begin = _fitted(below, replace(larger, held="all"), begin, max_iterations)[1].x
             begin = _fitted(problem, replace(larger, held="rates"), begin, _STEPS)[1].x
             further, found = _fitted(problem, larger, begin, max_iterations)
+            further.refuse_unstable(found.x)
         except (InvalidInput, NumericalFailure, np.linalg.LinAlgError):
-            break  # of what was seen no loop is made
+            continue
         if found.cost > minimum.cost - _TOLD * further.excess(found):
-            break
-        problem, minimum, layout = further, found, larger
+            continue
+        problem, minimum = further, found
+        layout = larger
         inside = range(layout.within(minimum.x))
         rates = np.exp([minimum.x[layout.mode(k)][0] for k in inside])
         shown = ", ".join(f"{rate / _CYCLE:.4g}" for rate in rates) or "none"
@@ -462,10 +468,10 @@ def _plant_between(problem: Problem) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 def _with_modes(
-    problem: Problem, layout: Layout, theta: np.ndarray, most: int
+    problem: Problem, layout: Layout, theta: np.ndarray, most: int, nearest: int
 ) -> tuple[Layout, np.ndarray]:
     """A rigid rotor at theta with the ``first_modes`` of the measured plant, at most ``most`` that
-    ring.
+    ring, and ``nearest`` at one frequency beyond the lines.
     """
     layout = replace(layout, ties=(), compliances=())
     omega, G, noise = _plant_between(problem)
@@ -476,7 +482,7 @@ def _with_modes(
         Y = bare.motion(theta, omega)[0]
         return np.asarray(Y @ np.linalg.inv(np.eye(len(K[0])) - K @ Y))
 
-    seen = first_modes(_measured(problem, layout), theta, omega, G, noise, plant)
+    seen = first_modes(_measured(problem, layout), theta, omega, G, noise, plant, nearest)
     ringing = [one for one in seen if one[1] < RINGS][:most]
     for one in (*ringing, *(one for one in seen if one[1] >= RINGS)):
         layout, theta = layout.with_mode(theta, one)
