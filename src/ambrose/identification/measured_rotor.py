@@ -46,7 +46,7 @@ _ORDER = 16  # poles of the look, of which noise and the rigid body take some; t
 _FROM = 0.3  # of the lines, by the logarithm of frequency, from where it looks
 _CLEAR, _TOLD = 100.0, 10.0  # times the noise of all lines: a mode's part, and what is beyond them
 _RANK = 0.3  # of a mode's largest singular value, its others
-_OWN = 0.03  # of the logarithm of frequency, about the rigid rotor's own poles
+OWN = 0.15, 0.03  # of the logarithm of frequency, about the rigid rotor's poles, look by look
 _WHIRLS = 0.5  # of the direct response, a whirl's cross response
 _SPLIT = 2.0  # times the backward whirl's frequency, the forward one's
 
@@ -396,29 +396,31 @@ def first_modes(
     noise: np.ndarray,
     plant: Callable[[MeasuredLoop, np.ndarray], np.ndarray],
     nearest: int,
+    own: float,
 ) -> list[np.ndarray]:
     """The modes (numbers as ``Layout.with_mode`` takes them) that a plant measured between all axes
     shows beside a rigid rotor at theta, the clearest first, and last what higher ones yield.
 
     omega (w,) [rad/s], G (w, a, a), noise (w,) of G; plant(model, theta) (w, a, a): the same as G
-    of a model; nearest: so many modes at most at one frequency beyond the lines. What a mode adds
-    is dG_ij = D_ij s_i m_j/(w_k^2 - w^2 + 2 j zeta w_k w); D, the way through amplifier, hold and
+    of a model; nearest: so many modes at most at one frequency beyond the lines; own: of the
+    logarithm of frequency, about the rigid rotor's poles, where no other is. What a mode adds is
+    dG_ij = D_ij s_i m_j/(w_k^2 - w^2 + 2 j zeta w_k w); D, the way through amplifier, hold and
     sensor, is told by a mode far above. Its poles are those of dG/D by vector fitting
     (``core.rational_fit``), and s m' the residues' first singular pair.
     """
     layout = model.layout
     b, far = len(layout.machine.bearings), _YIELDS * omega[-1]
-    own, small = plant(model, theta), _SMALL * layout.unit
+    bare, small = plant(model, theta), _SMALL * layout.unit
     trial = np.array([far, _YIELDING, *np.zeros(layout.whirling), *[small] * len(layout.places)])
     larger, beside = layout.with_mode(theta, trial, tied=False)
-    added = plant(replace(model, layout=larger), beside) - own
+    added = plant(replace(model, layout=larger), beside) - bare
     told = omega > omega[0] * (omega[-1] / omega[0]) ** _FROM
     order = _ORDER * (1 + layout.turning)
     if told.sum() < 2 * order:
         return []
 
     # of a plane by its own currents and, turning, by the other's, over the way through
-    rest = (G - own)[told]
+    rest = (G - bare)[told]
     way = (added[told, 0::2, 0::2] + added[told, 1::2, 1::2]) / 2
     omega, way = omega[told], way * _divisor(omega[told], far, _YIELDING)[:, None, None] / small**2
     direct = (rest[:, 0::2, 0::2] + rest[:, 1::2, 1::2]) / (2 * way)
@@ -438,7 +440,7 @@ def first_modes(
         w, zeta = float(np.abs(pole)), float(-pole.real / np.abs(pole))
         sizes = np.linalg.svd(shape[0].real)[1]
         clear = float(np.linalg.norm(sizes[0] / _divisor(omega, w, zeta) / noise))
-        of_body = rigid.size and np.abs(np.log(np.abs(rigid) / w)).min() < _OWN
+        of_body = rigid.size and np.abs(np.log(np.abs(rigid) / w)).min() < own
         one_mode = clear > _CLEAR and sizes[1:].sum() < _RANK * sizes[0] and not of_body
         if one_mode and zeta < RINGS and w < _WITHIN * omega[-1]:
             found.append(_Seen(w, zeta, shape, clear))

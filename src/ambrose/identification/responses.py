@@ -27,6 +27,7 @@ from ambrose.identification.data_quality.signals import point_findings
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding, refuse
 from ambrose.identification.frf_spectral import Frf
 from ambrose.identification.measured_rotor import (
+    OWN,
     RINGS,
     Layout,
     MeasuredLoop,
@@ -98,6 +99,7 @@ _SHARE, _TELLING = 0.5, 60.0  # of the residuals that it explains; of twice the 
 _ALONE = 1e-4  # damping below which a single line is explained
 _MOST_RESONANCES, _PEAKS = 3, 12
 _MOST_MODES = 8  # of a measured rotor, unless more are asked for
+_NUTATION = 1.5  # times the speed, up to where a rigid rotor's nutation is
 _LOOKS = 2  # from the rigid body of the last
 _ENOUGH = 1.05  # of the sum of squares over noise's, below which it does not look again
 _STEPS = 10  # of a fit with frequencies and damping held
@@ -336,13 +338,10 @@ def _without_drawing(
 
     progress(f"identifying {len(paths)} parameters and a rigid rotor from {len(measured)} files")
     most = _MOST_MODES if bending_modes is None else bending_modes
-    lines = [one.omega <= np.sqrt(low * high) for one in measured]
-    below = problem
-    if min(int(few.sum()) for few in lines) >= _FEW:
-        band = tuple(one.at(few) for one, few in zip(measured, lines, strict=True))
-        below = replace(problem, responses=band)
+    rigid = _up_to(problem, np.sqrt(low * high))
+    below = _up_to(problem, max(np.sqrt(low * high), _NUTATION * point.speed))
     if not layout.modes:  # the rigid body first
-        rigid, minimum = _fitted(below, layout, theta, steps)
+        rigid, minimum = _fitted(rigid, layout, theta, steps)
         told = rigid.mistakes(minimum.x)
         refuse([one for one in told if one.code == Code.MIXED_CHANNELS])
         theta, steps = minimum.x, 0
@@ -350,15 +349,17 @@ def _without_drawing(
 
     # from a better rigid body the modes are seen better; of what lies beyond the lines the
     # responses tell little, and what makes the loop unstable that ran is none
-    looks = [n for _ in range(_LOOKS) for n in range(len(machine.bearings), -1, -1)]
-    for nearest in looks:
-        if layout.modes and problem.excess(minimum) < _ENOUGH:
+    variants, vain = range(len(machine.bearings), -1, -1), 0
+    for nearest in _LOOKS * list(variants):
+        vain += 1
+        told = layout.modes and not problem.unstated and problem.excess(minimum) < _ENOUGH
+        if told or vain > len(variants):
             break
         begin = minimum.x
         try:
-            for _ in range(_LOOKS):
+            for own in OWN:
                 begin = begin[: layout.rigid.stop]
-                larger, begin = _with_modes(problem, layout, begin, most, nearest)
+                larger, begin = _with_modes(problem, layout, begin, most, nearest, own)
                 begin = _fitted(below, replace(larger, held="all"), begin, max_iterations)[1].x
             begin = _fitted(problem, replace(larger, held="rates"), begin, _STEPS)[1].x
             further, found = _fitted(problem, larger, begin, max_iterations)
@@ -368,7 +369,7 @@ def _without_drawing(
         if found.cost > minimum.cost - _TOLD * further.excess(found):
             continue
         problem, minimum = further, found
-        layout = larger
+        layout, vain = larger, 0
         inside = range(layout.within(minimum.x))
         rates = np.exp([minimum.x[layout.mode(k)][0] for k in inside])
         shown = ", ".join(f"{rate / _CYCLE:.4g}" for rate in rates) or "none"
@@ -410,6 +411,15 @@ def _measured(problem: Problem, layout: Layout) -> MeasuredLoop:
     model = problem.loop.model
     assert isinstance(model, MeasuredLoop)
     return replace(model, layout=layout)
+
+
+def _up_to(problem: Problem, top: float) -> Problem:
+    """With the lines up to there [rad/s], where these are enough."""
+    lines = [one.omega <= top for one in problem.responses]
+    if min(int(few.sum()) for few in lines) < _FEW:
+        return problem
+    band = tuple(one.at(few) for one, few in zip(problem.responses, lines, strict=True))
+    return replace(problem, responses=band)
 
 
 def _fitted(
@@ -468,10 +478,10 @@ def _plant_between(problem: Problem) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 def _with_modes(
-    problem: Problem, layout: Layout, theta: np.ndarray, most: int, nearest: int
+    problem: Problem, layout: Layout, theta: np.ndarray, most: int, nearest: int, own: float
 ) -> tuple[Layout, np.ndarray]:
     """A rigid rotor at theta with the ``first_modes`` of the measured plant, at most ``most`` that
-    ring, and ``nearest`` at one frequency beyond the lines.
+    ring, and ``nearest`` at one frequency beyond the lines; own: as there.
     """
     layout = replace(layout, ties=(), compliances=())
     omega, G, noise = _plant_between(problem)
@@ -482,7 +492,7 @@ def _with_modes(
         Y = bare.motion(theta, omega)[0]
         return np.asarray(Y @ np.linalg.inv(np.eye(len(K[0])) - K @ Y))
 
-    seen = first_modes(_measured(problem, layout), theta, omega, G, noise, plant, nearest)
+    seen = first_modes(_measured(problem, layout), theta, omega, G, noise, plant, nearest, own)
     ringing = [one for one in seen if one[1] < RINGS][:most]
     for one in (*ringing, *(one for one in seen if one[1] >= RINGS)):
         layout, theta = layout.with_mode(theta, one)

@@ -513,7 +513,8 @@ def turns(
         raise InvalidInput(
             f"the responses do not show whether the loop is stable from {at_hz[0]:.4g} to "
             f"{at_hz[-1]:.4g} Hz, where lines are up to {judged.spacing[k] / TWO_PI:.3g} Hz apart; "
-            "sweep there with closer lines, and longer at each"
+            "sweep there with closer lines, longer at each, and S beside T: where one of them is "
+            "near zero, the other tells"
         )
     low, phases = _below(first, stiffness, at, run_at)
     q = np.linalg.slogdet(np.eye(judged.M.shape[1]) + judged.M)[0]

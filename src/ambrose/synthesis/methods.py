@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from ambrose.machine.machine import Machine
     from ambrose.model.plant import Plant
     from ambrose.record.response import Response
+    from ambrose.synthesis.fixed_order.job import Law
 
 
 # What every method of design has: a name, when the loop runs, and a controller for a plant.
@@ -534,13 +535,15 @@ class Tuned(Method):
         filter bank.
         """
         from ambrose.core.checks import invalid
+        from ambrose.synthesis.fixed_order.bank import BANKS
 
-        if self.structure in {"pid", "filters"}:
+        if self.structure in BANKS:
             remedy = "a bank is tuned by the design itself"
             raise invalid("structure", self.structure, "free, plane or axis", remedy)
         return self
 
     def design(self, plant: Plant, progress: Progress) -> Synthesis:
+        from ambrose.core.statespace import StateSpace
         from ambrose.judge.controller_file import read_controller
         from ambrose.judge.measured import measured_plant, placed
         from ambrose.judge.plants import envelope_of
@@ -548,17 +551,22 @@ class Tuned(Method):
         from ambrose.law.law import law_of
         from ambrose.law.loop import laws_of
         from ambrose.law.pid import first_settings, pid_controller
+        from ambrose.synthesis.fixed_order.bank import BANKS
         from ambrose.synthesis.fixed_order.tuning import tune_controller
         from ambrose.synthesis.hinf import direct_gain_mismatch
 
         machine = plant.machine
-        start = machine.reference or first_settings(machine)
-        reference = pid_controller(start, machine)
+        settings = machine.reference or first_settings(machine)
+        reference = pid_controller(settings, machine)
         plants, timing = envelope_of(plant), self.timing()
+        start: Law = settings
         running = None
         if self.running is not None:
             law = law_of(read_controller(self.running, machine))
             running = laws_of(machine, law)[machine.group][1]
+            if machine.reference is None and self.structure not in BANKS:
+                # known to hold, where the file has no [controller]
+                start = running if isinstance(running, StateSpace) and not running.dt else start
         places = placed(plants, self.measured, running)
         result = tune_controller(
             plants,
