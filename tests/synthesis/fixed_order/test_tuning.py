@@ -294,7 +294,7 @@ def test_a_machine_runs_between_its_turning_points_where_nobody_says_so(
     asked = []
     monkeypatch.setattr(tuning, "_judged", lambda *_: SimpleNamespace(worst=worst))
 
-    def again(job, law, structure):
+    def again(job, law, structure, again):
         asked.append(job.aims.running)
         return SimpleNamespace(gamma=other)
 
