@@ -20,7 +20,7 @@ from ambrose.options import AsItRuns, Exploring, Rejecting, Simulating, Verifyin
 from ambrose.synthesis.methods import methods
 
 # where results go and how they are shown, the group of axes, which every command narrows alike
-SHOWN = {"output", "report", "page", "table", "as_json", "details", "everything", "axes"}
+SHOWN = {"output", "report", "page", "docx", "table", "as_json", "details", "everything", "axes"}
 GIVEN = inspect.Parameter.empty
 
 

@@ -56,8 +56,8 @@ def test_a_value_that_was_not_met_is_no_start_for_the_next(monkeypatch):
     """Order 12 came to 44.4 after order 8 had failed with 42.1, and to 2.7 by itself."""
     begun = []
 
-    def tuned(job, law, structure, *, again=False):
-        begun.append((law.n_states, again))
+    def tuned(job, law, structure, *, again=0):
+        begun.append((law.n_states, again > 0))
         margins = {"ratio_sensitivity": 1.0, "ratio_gain": 9.0 if len(begun) == 1 else 0.5}
         certificate = Certificate(True, -1.0, margins=margins)
         return amb.Synthesis(law, "tuned", 1.0, Status.VERIFIED, certificate)
@@ -70,7 +70,7 @@ def test_a_value_that_was_not_met_is_no_start_for_the_next(monkeypatch):
 
 @pytest.mark.parametrize(("guards", "met"), [({}, False), ({"guard_gain": 1.4}, True)])
 def test_a_guard_of_the_search_is_no_requirement_that_is_not_met(monkeypatch, guards, met):
-    def tuned(job, law, structure, *, again=False):
+    def tuned(job, law, structure, *, again=0):
         margins = {"ratio_sensitivity": 1.0, "ratio_orbit": 0.9, "ratio_gain": 1.4, **guards}
         certificate = Certificate(True, -1.0, margins=margins)
         return amb.Synthesis(law, "tuned", 1.0, Status.VERIFIED, certificate)
@@ -118,7 +118,7 @@ def test_ctrl_c_ends_it_and_keeps_the_values_that_are_done(monkeypatch):
     """Tuning returns its best when it is interrupted; the next value was begun all the same."""
     seen = []
 
-    def tuned(job, law, structure, *, again=False):
+    def tuned(job, law, structure, *, again=0):
         seen.append(again)
         done = amb.Synthesis(
             law,
