@@ -352,8 +352,8 @@ def _without_drawing(
     variants, vain = range(len(machine.bearings), -1, -1), 0
     for nearest in _LOOKS * list(variants):
         vain += 1
-        told = layout.modes and not problem.unstated and problem.excess(minimum) < _ENOUGH
-        if told or vain > len(variants):
+        enough = layout.modes and not problem.unstated and problem.excess(minimum) < _ENOUGH
+        if enough or vain > len(variants):
             break
         begin = minimum.x
         try:
