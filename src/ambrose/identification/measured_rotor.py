@@ -283,11 +283,6 @@ class Layout:
         """The plant with the rotor of theta; the paths' values are the machine file's."""
         return assemble(self.machine_of(theta), self.point)
 
-    def without_compliances(self, theta: np.ndarray) -> tuple[Layout, np.ndarray]:
-        """With true modes alone."""
-        alone = replace(self, ties=self.ties[: self.true_modes], compliances=())
-        return alone, theta[: self.rigid.stop + alone.modes * self.each]
-
     def with_mode(
         self, theta: np.ndarray, mode: np.ndarray, tied: bool = True
     ) -> tuple[Layout, np.ndarray]:

@@ -374,6 +374,8 @@ def _without_drawing(
         rates = np.exp([minimum.x[layout.mode(k)][0] for k in inside])
         shown = ", ".join(f"{rate / _CYCLE:.4g}" for rate in rates) or "none"
         progress(f"bending modes: {shown} Hz")
+    if not layout.modes:  # none was seen, or none held: the rigid body is to explain all lines
+        problem, minimum = _fitted(problem, layout, minimum.x, max_iterations)
     refuse(problem.mistakes(minimum.x))
     if problem.unstated:
         problem = problem.weighed(minimum.x)
