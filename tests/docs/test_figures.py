@@ -2,6 +2,8 @@
 is noticed.
 """
 
+import re
+
 import pytest
 from docs_build.blocks import pages
 from docs_build.figures import UnknownFigure, differences, lookup, quoted, render, stored
@@ -31,8 +33,6 @@ README = [  # the README is read where no site builder fills figures in
     "a reduced plant ({{ check.reduced_rotor_states }} rotor states)",
     "mu ({{ study.mu.states }} states) is stable everywhere with a largest sensitivity of {{ "
     "study.mu.worst:.1f }}",
-    "the mu controller polished to {{ study.polish.states }} states passes every check with {{ "
-    "study.polish.worst:.2f }}",
     "at once, with {{ study.tuned.states }} states and {{ study.tuned.worst:.2f }}",
     "needs {{ study_turboexpander.run_up.mu.rig.first*1e3:.0f }} ms at 20 Hz",
     "`seal-rig` ({{ check.mass:.0f }} kg rotor",
@@ -43,6 +43,16 @@ README = [  # the README is read where no site builder fills figures in
 def test_readme_quotes_what_is_stored(phrase):
     text = " ".join(pages()["README.md"].read_text(encoding="utf-8").split())
     assert render(phrase, stored()) in text
+
+
+def test_readme_says_below_what_the_polished_controller_stays():
+    """2.82 to 2.85, as the processor rounds: the page says less than it."""
+    text = " ".join(pages()["README.md"].read_text(encoding="utf-8").split())
+    states = stored()["study"]["polish.states"]
+    found = re.search(
+        rf"polished to {states} states passes every check with less than ([\d.]+);", text
+    )
+    assert stored()["study"]["polish.worst"] < float(found[1]) < 3  # the seal rig's own limit
 
 
 def test_the_picture_of_the_report_shows_the_stored_study():
