@@ -112,7 +112,7 @@ def random_box(rng, n, r, a, direct):
             (3, a, a, 0.4, 1e-3),
         )
     )
-    return SampledBox(law, (), system, np.array([0, *range(r)]), None, None)
+    return SampledBox(law, (), system, np.array([0, *range(r)]), None, None, None)
 
 
 @pytest.mark.parametrize("seed", range(8))

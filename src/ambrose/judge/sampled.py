@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
-from ambrose.core.frequency import largest_gain
+from ambrose.core.frequency import SchurForm, evaluate, largest_gains, schur_form
 from ambrose.core.lft import Ports, RealBlock, ports, upper_lft, upper_lft_responses
 from ambrose.core.mu.all_frequencies import Chords, modal_chords
 from ambrose.core.sampling import held
@@ -58,6 +58,7 @@ from ambrose.model.uncertainty import (
 
 
 ALIASES = 4  # on either side: see above
+_NETS, _FINER = 7, 9  # of frequencies, one in the other, that end in a peak; points of each
 _HELD = 4000  # responses of members worked on at once, which a processor keeps near
 _LOWEST = 1.0  # rad/s, of the grid
 _PER_DECADE = 25  # what is not a resonance is broad
@@ -83,7 +84,7 @@ class SampledBox:
     controller: sampled, with its delay, err_<axis> to u_<axis>; names (k,): parameters; system: of
     the full plant, from (w_delta, u) to (z_delta, y); owner (n,): the parameter that a channel of
     w_delta belongs to; ports: the channels that the others are made of; model: chords with these
-    alone.
+    alone; law: the controller, ready to be evaluated.
     """
 
     controller: StateSpace
@@ -92,6 +93,7 @@ class SampledBox:
     owner: np.ndarray
     ports: Ports
     model: Chords
+    law: SchurForm
 
     @property
     def nyquist(self) -> float:
@@ -107,7 +109,7 @@ class SampledBox:
     def sensitivity(self, omega: np.ndarray, delta: np.ndarray) -> np.ndarray:
         """S_o = (I + G_T K)^-1 (d, w, a, a) at omega (w,) [rad/s] and points delta (d, k)."""
         response = self.plant_response(omega, delta)
-        law = _response(self.controller, omega)
+        law = evaluate(self.law, np.exp(1j * omega * self.sample_time))
         identity = np.eye(response.shape[-1])
         return np.asarray(np.linalg.inv(identity + response @ law))
 
@@ -135,8 +137,8 @@ class SampledBox:
         return np.concatenate(parts, axis=1)
 
     def gains(self, omega: np.ndarray, delta: np.ndarray) -> np.ndarray:
-        """sigma_max(S_o) (d, w)."""
-        return np.asarray(largest_gain(self.sensitivity(omega, delta)))
+        """sigma_max(S_o) (d, w) where it may be the largest of a point's; else something below."""
+        return largest_gains(self.sensitivity(omega, delta))
 
     def closed_loop_poles(self, delta: np.ndarray, system: StateSpace | None = None) -> np.ndarray:
         """Poles (..., n) [rad/s] of the sampled loop at points (..., k), ln(z)/T; of the full plant
@@ -192,24 +194,21 @@ class SampledBox:
         """The peak over frequency at a point (k,): the best of omega (w,), refined between its
         neighbours.
         """
-        grid = np.unique(omega)
-        value = self.gains(grid, delta[None])[0]
-        best = int(value.argmax())
-
-        # the maximum between the best point's neighbours, never below the best point itself
-        low = grid[max(best - 1, 0)]
-        high = grid[min(best + 1, len(grid) - 1)]
-        from scipy.optimize import minimize_scalar
-
-        refined = minimize_scalar(
-            lambda w: -float(self.gains(np.array([w]), delta[None])[0, 0]),
-            bounds=(low, high),
-            method="bounded",
-            options={"xatol": 1e-6 * (high - low) + 1e-9},
-        )
-        if -refined.fun > value[best]:
-            return Peak(float(-refined.fun), float(refined.x), delta)
-        return Peak(float(value[best]), float(grid[best]), delta)
+        best, grid = Peak(-np.inf, 0.0, delta), np.unique(omega)
+        for stage in range(_NETS):
+            value = self.gains(grid, delta[None])[0]
+            k = int(value.argmax())
+            if value[k] > best.value:
+                best = Peak(float(value[k]), float(grid[k]), delta)
+            low, high = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
+            if stage < _NETS - 2 or not low < grid[k] < high:
+                grid = np.linspace(low, high, _FINER)
+                continue
+            # of the last net but one the vertex of the parabola through its best three
+            bend = value[k - 1] - 2 * value[k] + value[k + 1]
+            share = 0.5 * (value[k - 1] - value[k + 1]) / bend if bend < 0 else 0.0
+            grid = np.array([grid[k] + share * (high - low) / 2])
+        return best
 
     def climb(self, start: Peak, rounds: int = 6) -> Peak:
         """A higher peak nearby: one parameter at a time to the ends of its tolerance, or half of
@@ -266,22 +265,13 @@ def sampled_box(
     chords = modal_chords(s).part(
         np.r_[few.outputs, n : len(s.outputs)], np.r_[few.inputs, n : len(s.inputs)]
     )
-    return SampledBox(controller, names, s, owner, few, chords)
-
-
-def _response(system: StateSpace, omega: np.ndarray) -> np.ndarray:
-    """K(e^{j w T}) (w, m, p)."""
-    assert system.dt is not None
-    z = np.exp(1j * omega * system.dt)
-    n = system.n_states
-    if n == 0:
-        return np.broadcast_to(system.D.astype(complex), (len(omega), *system.D.shape))
-    shifted = z[:, None, None] * np.eye(n) - system.A
-    return np.asarray(system.C @ np.linalg.solve(shifted, system.B[None] + 0j) + system.D)
+    K = controller
+    law = schur_form(K.A, K.B, K.C, K.D, expand=True)
+    return SampledBox(controller, names, s, owner, few, chords, law)
 
 
 # points of the box at which the eigenvalues of the full plant's loop are computed
-_FULL_POINTS = 40
+_FULL_POINTS, _TOGETHER = 40, 6  # at most; of them at once
 _STARTS = 3  # of the search inside the box, besides the nominal point
 _BENDING = re.compile(r"rotor\.bending_(\d+)\.")
 _INSIDE = 32  # points inside the box, beside its corners
@@ -354,11 +344,9 @@ def check_over_box(
 
     # resonances of every member: a reduced plant places them closely enough for a first look
     small = reduce_from(plant, _modes(plant, names)) if plant.bending_modes is None else plant
-    reduced = box.closed_loop_poles(points, open_model(small, tolerances_varied, True).system)
-
-    # abscissa of the reduced loop, of the full one too at the first points; light poles of the last
-    poles = [*box.closed_loop_poles(points[:_FULL_POINTS]), *reduced[_FULL_POINTS:]]
-    abscissa = np.maximum(reduced.real.max(axis=1), [row.real.max() for row in poles])
+    poles = list(box.closed_loop_poles(points, open_model(small, tolerances_varied, True).system))
+    abscissa = np.array([row.real.max() for row in poles])
+    examined = _on_full_plant(box, points, poles, abscissa, 1 + len(extra))
     light = [box.light(row) for row in poles]
 
     # the peak of every member on the grid, which all share but for what lies beside resonances;
@@ -394,10 +382,9 @@ def check_over_box(
         if unstable.any()
         else ""
     )
-    full = min(_FULL_POINTS, len(points))
     extent = (
         f"{len(points)} corners, samples and worst cases found; poles on the full plant at "
-        f"{full} of them{example}"
+        f"{examined} of them{example}"
     )
     share, words = 1.0, ""
     if solid_cores(plant):
@@ -431,6 +418,30 @@ def check_over_box(
         ),
     ]
     return Checks("over the tolerances, sampled", not unstable[0], tuple(checks))
+
+
+def _on_full_plant(
+    box: SampledBox, points: np.ndarray, poles: list[np.ndarray], abscissa: np.ndarray, first: int
+) -> int:
+    """In place: the poles of the full plant's loop where there were a reduced one's, and the larger
+    abscissa of both, at the ``first`` points and wherever poles may be the outermost, or unstable.
+    How many points that are, _FULL_POINTS at most.
+
+    From the reduced plant to the full one no abscissa is assumed to rise by more than it did where
+    both are known.
+    """
+    waiting = sorted(range(len(points)), key=lambda i: (i >= first, -abscissa[i]))
+    done, rise, now = 0, 0.0, waiting[:first]
+    while now:
+        for i, row in zip(now, box.closed_loop_poles(points[now]), strict=True):
+            poles[i], outermost = row, float(row.real.max())
+            rise = max(rise, outermost - abscissa[i])
+            abscissa[i] = max(abscissa[i], outermost)
+        done += len(now)
+        highest = min(0.0, float(abscissa[waiting[:done]].max()))
+        part = waiting[done : min(done + _TOGETHER, _FULL_POINTS)]
+        now = [i for i in part if abscissa[i] + rise > highest]
+    return done
 
 
 def _alike(light: Sequence[np.ndarray]) -> list[list[int]]:
