@@ -10,7 +10,7 @@ critical speeds.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from heapq import heappop, heappush
 from itertools import pairwise
@@ -587,9 +587,9 @@ def _flank(x: np.ndarray, y: np.ndarray) -> float | None:
 # From speed to speed poles are paired by their shapes: with right eigenvectors v and left ones w,
 # w_i v_i = 1, pole i goes on as j where |(w_i v'_j)(w'_j v_i)| is near one. An interval is parted
 #
-# 1. where a pole may rise above the rightmost one known: above its highest value of three speeds,
-# by
-#    ``_BEND`` times what it bends between them;
+# 1. where a pole may rise above the rightmost one known: above its highest value, by ``_BEND`` times
+#    what it bends, by its slopes at the ends and, where that is not enough to tell, by a third speed
+#    between them;
 # 2. where the frequencies of two light poles cross that may rise so by coupling there, within a
 # small
 #    part of it;
@@ -637,13 +637,24 @@ def follow(
     # intervals to be parted, the one in which a pole may rise highest first
     waiting: list[tuple[float, float, float, float]] = []
 
-    def judge_interval(low: float, high: float) -> None:
+    def judge_interval(low: float, high: float, *, looked_into: bool = False) -> None:
         nonlocal highest
-        start, cross = at(low).poles, _crossing(at(low), _paired(at(low), at(high)), highest)
+        first, last = _alike(at(low), at(high))
+        last = _paired(first, last)
+        cross = _crossing(first, last, highest)
+        if cross is None and not looked_into:
+            # A on a straight line between the ends: a cubic by the slopes w (A' - A) v of a pole
+            # there lies (slope - slope')/8 off the chord in the middle
+            change = last.A - first.A
+            bend = np.abs((first.slopes(change) - last.slopes(change)).real) / 8
+            top = np.maximum(first.poles.real, last.poles.real)
+            if not (top + _BEND * bend).max() > highest + _SAME_ALONG_SPEED * abs(highest):
+                return
         share = 0.5 if cross is None else cross
         middle = low + share * (high - low)
-        halfway = _paired(at(low), at(middle))
-        centre, end = halfway.poles, _paired(halfway, at(high)).poles
+        first, halfway, last = _alike(at(low), at(middle), at(high))
+        halfway = _paired(first, halfway)
+        start, centre, end = first.poles, halfway.poles, _paired(halfway, last).poles
         highest = max(highest, float(centre.real.max()))
         # off the chord from start to end, and no farther than a parabola or a corner rises
         bend = np.abs((centre - (1 - share) * start - share * end).real)
@@ -658,12 +669,13 @@ def follow(
         rise, low, middle, high = heappop(waiting)
         if -rise <= highest + _SAME_ALONG_SPEED * abs(highest):
             break
-        judge_interval(low, middle)
-        judge_interval(middle, high)
+        judge_interval(low, middle, looked_into=True)
+        judge_interval(middle, high, looked_into=True)
 
     found: list[tuple[float, float]] = []
     for low, high in pairwise(sorted(known)) if critical else ():
-        start, end = at(low).poles, _paired(at(low), at(high)).poles
+        first, last = _alike(at(low), at(high))
+        start, end = first.poles, _paired(first, last).poles
         light = np.minimum(-start.real, -end.real) < _LIGHT * high
         passes = (start.imag - low > 0) != (end.imag - high > 0)
         found += [
@@ -686,6 +698,15 @@ class _Modes:
     A: np.ndarray
     rate: np.ndarray
 
+    def __getitem__(self, kept: np.ndarray) -> _Modes:
+        return _Modes(
+            self.poles[kept], self.right[:, kept], self.left[kept], self.A, self.rate[kept]
+        )
+
+    def slopes(self, change: np.ndarray) -> np.ndarray:
+        """By how much a change of A moves each pole (n,) [rad/s], to first order."""
+        return np.asarray(np.einsum("ij,ji->i", self.left, change @ self.right) * self.rate)
+
     def coupling(self, kept: np.ndarray, change: np.ndarray) -> np.ndarray:
         """Between the poles kept (k,), (k, k) [rad/s], by a change of A."""
         moved = self.left[kept] @ change @ self.right[:, kept] * self.rate[kept]
@@ -695,10 +716,18 @@ class _Modes:
 def _modes(loop: StateSpace) -> _Modes:
     balanced, scale = balance(loop.A)
     values, right = np.linalg.eig(balanced)
+
+    # in real columns, [v, conj v] = [Re v, Im v] [[1, 1], [j, -j]]: the rows of the inverse are
+    # (a - j b)/2 and its conjugate
+    pair = np.flatnonzero(values.imag > 0)
+    basis = right.real.copy()
+    basis[:, pair + 1] = right[:, pair].imag
     try:
-        left = np.linalg.inv(right)
+        left = np.linalg.inv(basis).astype(complex)
     except np.linalg.LinAlgError:  # of a defective pole, to the last digit
-        left = np.linalg.pinv(right)
+        left = np.linalg.pinv(basis).astype(complex)
+    left[pair] = (left[pair] - 1j * left[pair + 1]) / 2
+    left[pair + 1] = left[pair].conj()
     rate = np.ones(len(values), complex)
     if loop.dt is not None:
         # a pole of a delay at z = 0 is as far to the left as any
@@ -706,6 +735,14 @@ def _modes(loop: StateSpace) -> _Modes:
         rate = 1 / (size * np.exp(1j * np.angle(values)) * loop.dt)
         values = (np.log(size) + 1j * np.angle(values)) / loop.dt
     return _Modes(values, scale[:, None] * right, left / scale, loop.A, rate)
+
+
+def _alike(*several: _Modes) -> Sequence[_Modes]:
+    """Of every pair of poles one, where all have as many pairs; else all poles."""
+    upper = [np.flatnonzero(one.poles.imag >= 0) for one in several]
+    if len({len(kept) for kept in upper}) > 1:
+        return several
+    return [one[kept] for one, kept in zip(several, upper, strict=True)]
 
 
 def _paired(first: _Modes, second: _Modes) -> _Modes:
@@ -716,13 +753,7 @@ def _paired(first: _Modes, second: _Modes) -> _Modes:
     distance = np.abs(first.poles[:, None] - second.poles[None, :])
     apart = distance / (np.abs(first.poles)[:, None] + distance + 1.0)
     _, order = linear_sum_assignment(apart - np.minimum(alike, 1.0))
-    return replace(
-        second,
-        poles=second.poles[order],
-        right=second.right[:, order],
-        left=second.left[order],
-        rate=second.rate[order],
-    )
+    return second[order]
 
 
 def _crossing(start: _Modes, end: _Modes, highest: float) -> float | None:

@@ -45,7 +45,7 @@ from ambrose.judge.unbalance import (
     unbalance_curve,
 )
 from ambrose.law.law import LawLike
-from ambrose.law.loop import closed_loop, match_controller
+from ambrose.law.loop import closed_loop, loop_alone, match_controller
 from ambrose.law.pid import channel_chains
 from ambrose.machine.criteria import (
     CURRENT_PULSE,
@@ -562,13 +562,13 @@ def _assembled(
     even = np.linspace(low, high, _STABILITY_SPEEDS)
     knots = speed_knots(plant.machine, low, high)
     along = follow(
-        lambda w: closed_loop(at := plant_at(w), law_at(at)),
+        lambda w: loop_alone(at := plant_at(w), law_at(at)),
         np.unique([*even, *knots]),
         critical=residual is not None,
     )
     stability = [speed_stability_check(along, plant.point)]
     if plant.machine.rotating_share:
-        stability += [threshold_check(lambda w: closed_loop(at := plant_at(w), law_at(at)), *span)]
+        stability += [threshold_check(lambda w: loop_alone(at := plant_at(w), law_at(at)), *span)]
     if residual is None or not stability[0].passed:
         return stability, []
     low = max(low, 0.02 * high)

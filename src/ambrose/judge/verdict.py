@@ -48,8 +48,8 @@ from ambrose.law.loop import (
     DEFAULT,
     STATE_RATE,
     Timing,
-    closed_loop,
     laws_of,
+    loop_alone,
     match_controller,
     running_law,
     timing_of,
@@ -100,7 +100,7 @@ def check_range(
     def loop_at(axis: int, other: float, value: float) -> StateSpace:
         speed, pressure = (value, other) if axis == 0 else (other, value)
         plant = assemble(machine, area.at(speed, pressure))
-        return closed_loop(plant, running_law(law, plant, timing))
+        return loop_alone(plant, running_law(law, plant, timing))
 
     # the poles along each of speed and pressure, where the other has an end, a table that bends or
     # the largest peak

@@ -69,6 +69,15 @@ def closed_loop(plant: Plant, controller: LawLike) -> StateSpace:
     )
 
 
+def loop_alone(plant: Plant, controller: LawLike) -> StateSpace:
+    """The states of ``closed_loop`` without its signals: what poles are computed from."""
+    controller = match_controller(controller, plant)
+    part = select(plant.system, plant.named("u"), plant.named("y"))
+    part = part if controller.dt is None else c2d(part, controller.dt)
+    negative = {f"err_{axis}": [f"-y_{axis}"] for axis in plant.axes}
+    return connect([part, controller], inputs=[], outputs=[], sums=negative)
+
+
 def match_controller(controller: LawLike, plant: Plant) -> StateSpace:
     """The controller's law with inputs err_<axis> [m] and outputs u_<axis> [A], in the order of the
     plant's axes.
