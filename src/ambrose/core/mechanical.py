@@ -93,22 +93,16 @@ def to_common_statespace(system: SecondOrder, speed: float, scales: np.ndarray) 
     """
     check_finite(speed, "speed")
     s = check_shape(scales, "scales", "(n,)", n=system.n)
-    try:
-        inverse = np.linalg.inv(system.mass)
-    except np.linalg.LinAlgError as error:
-        raise invalid(
-            "the mass matrix", "singular", "positive definite", "check masses and added mass"
-        ) from error
-    damping = system.damping + speed * system.gyroscopic
-    return _first_order(
-        system,
-        -inverse @ system.stiffness,
-        -inverse @ damping,
-        inverse @ system.B,
-        system.C,
-        system.Cv,
-        s,
-    )
+    K, D, B = system.stiffness, system.damping + speed * system.gyroscopic, system.B
+    if not np.array_equal(system.mass, np.eye(system.n)):
+        try:
+            inverse = np.linalg.inv(system.mass)
+        except np.linalg.LinAlgError as error:
+            raise invalid(
+                "the mass matrix", "singular", "positive definite", "check masses and added mass"
+            ) from error
+        K, D, B = inverse @ K, inverse @ D, inverse @ B
+    return _first_order(system, -K, -D, B, system.C, system.Cv, s)
 
 
 def _first_order(
