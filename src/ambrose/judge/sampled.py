@@ -58,6 +58,8 @@ from ambrose.model.uncertainty import (
 
 
 ALIASES = 4  # on either side: see above
+_SAME = 1e-3  # relative, frequencies of one peak
+_FIRST_LOOK = 1  # of them, where members are only put in order
 _NETS, _FINER = 7, 9  # of frequencies, one in the other, that end in a peak; points of each
 _HELD = 4000  # responses of members worked on at once, which a processor keeps near
 _LOWEST = 1.0  # rad/s, of the grid
@@ -75,6 +77,11 @@ class Peak(NamedTuple):
     value: float
     omega: float
     delta: np.ndarray
+
+    def meets(self, other: Peak) -> bool:
+        """Whether both are one peak of one point."""
+        near = abs(self.omega - other.omega) <= _SAME * other.omega
+        return near and np.array_equal(self.delta, other.delta)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,14 +113,18 @@ class SampledBox:
         assert self.controller.dt is not None  # checked in ``sampled_box``
         return self.controller.dt
 
-    def sensitivity(self, omega: np.ndarray, delta: np.ndarray) -> np.ndarray:
+    def sensitivity(
+        self, omega: np.ndarray, delta: np.ndarray, aliases: int = ALIASES
+    ) -> np.ndarray:
         """S_o = (I + G_T K)^-1 (d, w, a, a) at omega (w,) [rad/s] and points delta (d, k)."""
-        response = self.plant_response(omega, delta)
+        response = self.plant_response(omega, delta, aliases)
         law = evaluate(self.law, np.exp(1j * omega * self.sample_time))
         identity = np.eye(response.shape[-1])
         return np.asarray(np.linalg.inv(identity + response @ law))
 
-    def plant_response(self, omega: np.ndarray, delta: np.ndarray) -> np.ndarray:
+    def plant_response(
+        self, omega: np.ndarray, delta: np.ndarray, aliases: int = ALIASES
+    ) -> np.ndarray:
         """G_T (d, w, a, a) [m/A] behind the hold."""
         dt = self.sample_time
         # 1 - e^{-j w T} is the same at all aliases
@@ -121,7 +132,7 @@ class SampledBox:
 
         # sum_k H(j w_k) G(j w_k), all aliases at once; the hold is a scalar, so that it may stand
         # after G
-        alias = omega[:, None] + 2 * np.pi / dt * np.arange(-ALIASES, ALIASES + 1)
+        alias = omega[:, None] + 2 * np.pi / dt * np.arange(-aliases, aliases + 1)
         M = self.model.at(np.abs(alias.ravel()))
         M = np.where((alias.ravel() < 0)[:, None, None], M.conj(), M)  # M(-j w) = conj M(j w)
         M = M.transpose(1, 2, 0).reshape(*M.shape[1:], *alias.shape)
@@ -136,9 +147,9 @@ class SampledBox:
             parts.append(np.einsum("dijwk,wk->dwij", terms, hold[k : k + step]))
         return np.concatenate(parts, axis=1)
 
-    def gains(self, omega: np.ndarray, delta: np.ndarray) -> np.ndarray:
+    def gains(self, omega: np.ndarray, delta: np.ndarray, aliases: int = ALIASES) -> np.ndarray:
         """sigma_max(S_o) (d, w) where it may be the largest of a point's; else something below."""
-        return largest_gains(self.sensitivity(omega, delta))
+        return largest_gains(self.sensitivity(omega, delta, aliases))
 
     def closed_loop_poles(self, delta: np.ndarray, system: StateSpace | None = None) -> np.ndarray:
         """Poles (..., n) [rad/s] of the sampled loop at points (..., k), ln(z)/T; of the full plant
@@ -210,12 +221,16 @@ class SampledBox:
             grid = np.array([grid[k] + share * (high - low) / 2])
         return best
 
-    def climb(self, start: Peak, rounds: int = 6) -> Peak:
+    def climb(self, start: Peak, passed: list[Peak], rounds: int = 6) -> Peak:
         """A higher peak nearby: one parameter at a time to the ends of its tolerance, or half of
-        the way there, as long as that raises the peak around its frequency.
+        the way there, as long as that raises the peak around its frequency, and until it meets a
+        path that was climbed before: ``passed`` holds the peaks on them all.
         """
         best = start
         for _ in range(rounds):
+            if any(best.meets(other) for other in passed):
+                break
+            passed.append(best)
             # one coordinate half or all the way to either end of its tolerance
             steps = []
             for i in range(len(best.delta)):
@@ -354,13 +369,13 @@ def check_over_box(
     base = box.base_grid()
     peaks = [
         Peak(float(row.max()), float(base[row.argmax()]), point)
-        for row, point in zip(box.gains(base, points), points, strict=True)
+        for row, point in zip(box.gains(base, points, _FIRST_LOOK), points, strict=True)
     ]
     for members in _alike(light):
         grid = box.beside(light[members[0]])
         if not len(grid):
             continue
-        for i, row in zip(members, box.gains(grid, points[members]), strict=True):
+        for i, row in zip(members, box.gains(grid, points[members], _FIRST_LOOK), strict=True):
             if row.max() > peaks[i].value:
                 peaks[i] = Peak(float(row.max()), float(grid[row.argmax()]), points[i])
 
@@ -474,11 +489,12 @@ def _worst(box: SampledBox, peaks: Sequence[Peak], unstable: np.ndarray) -> tupl
         return peaks[0], np.empty(0)
     starts = sorted(stable[1:], key=lambda peak: -peak.value)[:_STARTS]
     best: Peak | None = None
+    passed: list[Peak] = []
     starts = [stable[0], *starts]
     poles = box.closed_loop_poles(np.array([start.delta for start in starts]))
     for start, row in zip(starts, poles, strict=True):
         grid = np.union1d(np.append(box.base_grid(), start.omega), box.beside(row))
-        peak = box.climb(box.peak(start.delta, grid))
+        peak = box.climb(box.peak(start.delta, grid), passed)
         if best is None or peak.value > best.value:
             best = peak
     assert best is not None
