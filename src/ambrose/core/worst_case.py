@@ -128,6 +128,7 @@ _STARTS = 10  # points from which the gain is climbed, the largest first
 _BAND = 0.1  # relative width in which two starts of one member are the same
 _STEP = 1e-6  # relative step of the derivative in frequency
 _BESIDE = (-1.0, 0.0, 1.0)  # of a member's pole, in its decays
+_MEET = 1e-6  # relative, of frequencies and tolerances at one place
 _ROUNDS = 8  # of ascent, each from a new pole
 
 
@@ -138,6 +139,11 @@ class BoxGain(Presented):
     value: float
     frequency: float
     delta: np.ndarray
+
+    def meets(self, other: BoxGain) -> bool:
+        """Whether both are at one place, but for what a search leaves."""
+        near = abs(self.frequency - other.frequency) <= _MEET * other.frequency
+        return near and bool((np.abs(self.delta - other.delta) <= _MEET).all())
 
 
 def worst_case_gain(system: Any, blocks: Sequence[Block], seed: int = 1) -> BoxGain:
@@ -182,11 +188,12 @@ def worst_gain(loop: BoxLoop, seed: int = 1, also: Sequence[float] = ()) -> BoxG
     rows = [np.stack([levels[i, k], i, grid[k]]), _beside_poles(loop, grid, M, members, kept)]
     starts = [(int(i), float(omega)) for _, i, omega in _best_of_each_band(np.hstack(rows))]
     best = BoxGain(-np.inf, 0.0, members[0])
+    passed: list[BoxGain] = []
     for row, omega in starts:
-        best = max(best, _ascend(loop, members[row], omega), key=lambda item: item.value)
+        best = max(best, _ascend(loop, members[row], omega, passed), key=lambda item: item.value)
     for omega in also:
         at = worst_gain_at(loop, omega)
-        best = max(best, _ascend(loop, at.delta, omega), key=lambda item: item.value)
+        best = max(best, _ascend(loop, at.delta, omega, passed), key=lambda item: item.value)
     return best
 
 
@@ -286,8 +293,10 @@ def _best_of_each_band(rows: np.ndarray) -> list[tuple[float, float, float]]:
     return chosen
 
 
-def _ascend(loop: BoxLoop, delta: np.ndarray, omega: float) -> BoxGain:
-    """Uphill in delta and frequency together until a round gains nothing more."""
+def _ascend(loop: BoxLoop, delta: np.ndarray, omega: float, passed: list[BoxGain]) -> BoxGain:
+    """Uphill in delta and frequency together until a round gains nothing more, or comes to where
+    an earlier ascent was; ``passed`` holds where all were.
+    """
     from scipy.optimize import minimize
 
     best = BoxGain(_gain(loop, delta, omega), omega, delta)
@@ -307,6 +316,9 @@ def _ascend(loop: BoxLoop, delta: np.ndarray, omega: float) -> BoxGain:
         if not value > best.value * (1 + 1e-9):
             break
         best = BoxGain(value, omega, at)
+        if any(best.meets(other) for other in passed):
+            break
+        passed.append(best)
     return best
 
 
@@ -330,7 +342,7 @@ def _pole_beside(loop: BoxLoop, delta: np.ndarray, omega: float) -> tuple[float,
     if omega == 0.0:
         return broad
     at = np.array([omega])
-    M, slope = loop.at(at)[0, :n, :n], loop.model.slope(at)[0, :n, :n]
+    M, slope = loop.at(at)[0, :n, :n], loop.response.slope(at)[0, :n, :n]
     wide = delta[loop.owner]
     X = np.eye(n) - M * wide
     try:
@@ -374,7 +386,7 @@ def _log_gain(loop: BoxLoop, delta: np.ndarray, omega: float) -> tuple[float, np
     to omega.
     """
     at = np.array([omega])
-    return _slopes(loop.at(at)[0], loop.model.slope(at)[0], loop, delta)
+    return _slopes(loop.at(at)[0], loop.response.slope(at)[0], loop, delta)
 
 
 def _slopes(

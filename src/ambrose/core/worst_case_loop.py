@@ -19,11 +19,12 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ambrose.core.checks import UnstableSystem, check_shape, invalid, named_failure
 from ambrose.core.frequency import largest_gain
 from ambrose.core.lft import Block, Ports, RealBlock, ports, upper_lft, upper_lft_responses
-from ambrose.core.mu.all_frequencies import Chords, chords
+from ambrose.core.mu.all_frequencies import Chords, ChordsBetween, chords
 from ambrose.core.mu.structure import osborne, structure_of
 from ambrose.core.statespace import StateSpace, as_statespace, is_stable, spectral_abscissa
 
@@ -59,8 +60,8 @@ class BoxLoop:
     """A stable continuous loop whose first inputs w and outputs z belong to ``blocks``, one real
     parameter each.
 
-    owner (n,): the parameter that channel belongs to; model: for evaluation and proof; poles (s,)
-    of the loop with delta = 0; ports: the channels that all are made of.
+    owner (n,): the parameter that channel belongs to; model: for proof; poles (s,) of the loop with
+    delta = 0; ports: the channels that all are made of; response: the model by these.
     """
 
     system: StateSpace
@@ -69,6 +70,7 @@ class BoxLoop:
     model: Chords
     poles: np.ndarray
     ports: Ports
+    response: ChordsBetween
 
     @property
     def parameters(self) -> int:
@@ -76,7 +78,7 @@ class BoxLoop:
 
     def at(self, omega: np.ndarray) -> np.ndarray:
         """M (w, n + p, n + m) at omega (w,) [rad/s], infinity allowed."""
-        return self.model.at(omega)
+        return self.response.at(omega)
 
 
 def box_loop(system: Any, blocks: Sequence[Block], model: Chords | None = None) -> BoxLoop:
@@ -115,7 +117,18 @@ def box_loop(system: Any, blocks: Sequence[Block], model: Chords | None = None) 
             "robustness is a question about a stable loop: change the controller first"
         )
     model = chords(system) if model is None else model
-    return BoxLoop(system, real, owner, model, model.every_pole, ports(system, len(owner)))
+    few, n = ports(system, len(owner)), len(owner)
+    rows, columns = (
+        np.r_[channels, n:size]
+        for channels, size in zip((few.outputs, few.inputs), system.D.shape, strict=True)
+    )
+    response = model.part(rows, columns).between(
+        *(
+            block_diag(one, np.eye(size - n))
+            for one, size in zip((few.out_of, few.into), system.D.shape, strict=True)
+        )
+    )
+    return BoxLoop(system, real, owner, model, model.every_pole, few, response)
 
 
 def default_grid(loop: BoxLoop, per_decade: int = 60) -> np.ndarray:
@@ -700,7 +713,7 @@ class _Eigenvalue:
 
 def _eigenvalue(loop: BoxLoop, v: np.ndarray, omega: float, near: complex) -> _Eigenvalue | None:
     at, n = np.array([omega]), len(loop.owner)
-    M, slope = loop.model.at(at)[0, :n, :n], loop.model.slope(at)[0, :n, :n]
+    M, slope = loop.at(at)[0, :n, :n], loop.response.slope(at)[0, :n, :n]
     wide = v[loop.owner]
     M = M if omega > 0 else M.real
 

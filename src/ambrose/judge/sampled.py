@@ -343,8 +343,8 @@ def check_over_box(
     The sensitivity is that of the full plant behind its hold (``sampled_box``) at the nominal
     point, at corners, samples and the points given; from the worst of them the search climbs
     inside the box. The frequencies are those of a net and of every member's own resonances, which a
-    reduced plant tells. Stability is decided by eigenvalues, of the full plant's loop at the first
-    points and at the worst one found. Unlike ``robust.check`` nothing is proved between the points.
+    reduced plant tells. Stability is decided by eigenvalues, of the full plant's loop where those of
+    the reduced one lie outermost and at the worst point found. Unlike ``robust.check`` nothing is proved between the points.
     Raises InvalidInput.
     """
     controller = match_controller(controller, plant)
@@ -361,7 +361,8 @@ def check_over_box(
     small = reduce_from(plant, _modes(plant, names)) if plant.bending_modes is None else plant
     poles = list(box.closed_loop_poles(points, open_model(small, tolerances_varied, True).system))
     abscissa = np.array([row.real.max() for row in poles])
-    examined = _on_full_plant(box, points, poles, abscissa, 1 + len(extra))
+    full = _FullPoles(box)
+    examined = _on_full_plant(full, points, poles, abscissa, 1 + len(extra))
     light = [box.light(row) for row in poles]
 
     # the peak of every member on the grid, which all share but for what lies beside resonances;
@@ -381,7 +382,7 @@ def check_over_box(
 
     # the search moves on the gain alone: where it ends the poles are looked at again
     unstable = abscissa >= 0
-    worst, found = _worst(box, peaks, unstable)
+    worst, found = _worst(full, peaks, unstable)
     if found.size and found.max() >= 0:
         points = np.vstack([points, worst.delta])
         abscissa = np.append(abscissa, found.max())
@@ -435,8 +436,23 @@ def check_over_box(
     return Checks("over the tolerances, sampled", not unstable[0], tuple(checks))
 
 
+class _FullPoles:
+    """Poles [rad/s] of the full plant's loop at points of its tolerances, each computed once."""
+
+    def __init__(self, box: SampledBox) -> None:
+        self.box = box
+        self._known: dict[bytes, np.ndarray] = {}
+
+    def at(self, points: np.ndarray) -> list[np.ndarray]:
+        """Poles (n,) at each of points (d, k)."""
+        new = {point.tobytes(): point for point in points if point.tobytes() not in self._known}
+        if new:
+            self._known |= zip(new, self.box.closed_loop_poles(np.array([*new.values()])))
+        return [self._known[point.tobytes()] for point in points]
+
+
 def _on_full_plant(
-    box: SampledBox, points: np.ndarray, poles: list[np.ndarray], abscissa: np.ndarray, first: int
+    full: _FullPoles, points: np.ndarray, poles: list[np.ndarray], abscissa: np.ndarray, first: int
 ) -> int:
     """In place: the poles of the full plant's loop where there were a reduced one's, and the larger
     abscissa of both, at the ``first`` points and wherever poles may be the outermost, or unstable.
@@ -448,7 +464,7 @@ def _on_full_plant(
     waiting = sorted(range(len(points)), key=lambda i: (i >= first, -abscissa[i]))
     done, rise, now = 0, 0.0, waiting[:first]
     while now:
-        for i, row in zip(now, box.closed_loop_poles(points[now]), strict=True):
+        for i, row in zip(now, full.at(points[now]), strict=True):
             poles[i], outermost = row, float(row.real.max())
             rise = max(rise, outermost - abscissa[i])
             abscissa[i] = max(abscissa[i], outermost)
@@ -477,7 +493,9 @@ def _alike(light: Sequence[np.ndarray]) -> list[list[int]]:
     return groups
 
 
-def _worst(box: SampledBox, peaks: Sequence[Peak], unstable: np.ndarray) -> tuple[Peak, np.ndarray]:
+def _worst(
+    full: _FullPoles, peaks: Sequence[Peak], unstable: np.ndarray
+) -> tuple[Peak, np.ndarray]:
     """The highest peak that the search reaches from the nominal point and the worst stable ones;
     and the poles [rad/s] of the full plant's loop there, real parts, empty where none was searched.
 
@@ -490,15 +508,15 @@ def _worst(box: SampledBox, peaks: Sequence[Peak], unstable: np.ndarray) -> tupl
     starts = sorted(stable[1:], key=lambda peak: -peak.value)[:_STARTS]
     best: Peak | None = None
     passed: list[Peak] = []
-    starts = [stable[0], *starts]
-    poles = box.closed_loop_poles(np.array([start.delta for start in starts]))
+    starts, box = [stable[0], *starts], full.box
+    poles = full.at(np.array([start.delta for start in starts]))
     for start, row in zip(starts, poles, strict=True):
         grid = np.union1d(np.append(box.base_grid(), start.omega), box.beside(row))
         peak = box.climb(box.peak(start.delta, grid), passed)
         if best is None or peak.value > best.value:
             best = peak
     assert best is not None
-    return best, box.closed_loop_poles(best.delta).real
+    return best, full.at(best.delta[None])[0].real
 
 
 def _modes(plant: Plant, names: Sequence[str]) -> int:

@@ -199,6 +199,10 @@ class ChordsBetween:
         """left M right (w, p, m) at omega (w,) [rad/s]; infinity gives that of D."""
         return np.asarray(self.left @ self.model.at(omega) @ self.right)
 
+    def slope(self, omega: np.ndarray) -> np.ndarray:
+        """d/d omega of the same."""
+        return np.asarray(self.left @ self.model.slope(omega) @ self.right)
+
     def distance(self, low: np.ndarray, high: np.ndarray, cells: int) -> np.ndarray:
         """As of M: |left (M - chord) right| <= |left| |M - chord| |right|, entry by entry."""
         # infinity beside a zero entry would be NaN
