@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from heapq import heappop, heappush
 from itertools import pairwise
 from typing import Any
@@ -587,9 +587,8 @@ def _flank(x: np.ndarray, y: np.ndarray) -> float | None:
 # From speed to speed poles are paired by their shapes: with right eigenvectors v and left ones w,
 # w_i v_i = 1, pole i goes on as j where |(w_i v'_j)(w'_j v_i)| is near one. An interval is parted
 #
-# 1. where a pole may rise above the rightmost one known: above its highest value, by ``_BEND`` times
-#    what it bends, by its slopes at the ends and, where that is not enough to tell, by a third speed
-#    between them;
+# 1. where a pole may rise above the rightmost one known: above its highest value, by ``_BEND``
+#    times what it bends, as its slopes at the ends and then a third speed between them tell;
 # 2. where the frequencies of two light poles cross that may rise so by coupling there, within a
 # small
 #    part of it;

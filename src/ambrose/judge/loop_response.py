@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import wraps
+from typing import TypeVar
 
 import numpy as np
 
@@ -32,6 +34,21 @@ _LIGHTLY_DAMPED = 0.3  # damping ratio below which a pole has points of its own 
 Matrices = np.ndarray  # (w, p, m) complex: one matrix per frequency
 
 
+Response = TypeVar("Response", bound="LoopResponse")
+
+
+def _once(matrices: Callable[[Response], Matrices]) -> Callable[[Response], Matrices]:
+    """Decorator of a method: what it gives is kept, as checks of one response share it."""
+
+    @wraps(matrices)
+    def kept(self: Response) -> Matrices:
+        if matrices.__name__ not in self.kept:
+            self.kept[matrices.__name__] = matrices(self)
+        return self.kept[matrices.__name__]
+
+    return kept
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopResponse:
     """Open-loop matrices (w, a, a) at omega (w,) [rad/s]; a control axes; forces f and
@@ -50,29 +67,41 @@ class LoopResponse:
     G_qf: Matrices
     G_iu: Matrices
     G_if: Matrices
+    kept: dict[str, Matrices] = field(default_factory=dict, init=False, repr=False)
 
+    def __getitem__(self, at: np.ndarray) -> LoopResponse:
+        """The same at some of the frequencies."""
+        matrices = (self.G, self.K, self.G_yf, self.G_qu, self.G_qf, self.G_iu, self.G_if)
+        return LoopResponse(self.omega[at], self.axes, *(each[at] for each in matrices))
+
+    @_once
     @named_failure("the output sensitivity")
     def output_sensitivity(self) -> Matrices:
         """S_o = (I + G K)^-1, d -> y."""
         return np.linalg.inv(np.eye(len(self.axes)) + self.G @ self.K)
 
+    @_once
     @named_failure("the input sensitivity")
     def input_sensitivity(self) -> Matrices:
         """S_i = (I + K G)^-1, e -> v."""
         return np.linalg.inv(np.eye(len(self.axes)) + self.K @ self.G)
 
+    @_once
     def complementary(self) -> Matrices:
         """T_o = G K S_o = I - S_o."""
         return self.G @ self.K @ self.output_sensitivity()
 
+    @_once
     def control_sensitivity(self) -> Matrices:
         """K S_o, r -> u [A/m]."""
         return self.K @ self.output_sensitivity()
 
+    @_once
     def compliance(self) -> Matrices:
         """f -> q at the bearings, loop closed [m/N]."""
         return self.G_qf - self.G_qu @ self.control_sensitivity() @ self.G_yf
 
+    @_once
     def current_per_force(self) -> Matrices:
         """f at the bearings -> coil current i, loop closed [A/N]."""
         return self.G_if - self.G_iu @ self.control_sensitivity() @ self.G_yf
@@ -265,15 +294,17 @@ def peaks_of(
     response: LoopResponse,
     evaluator: Evaluator,
     within: tuple[float, float] | None = None,
+    values: Sequence[np.ndarray] | None = None,
 ) -> list[tuple[Peak, ...]]:
     """The peak of every row of several quantities over the response's grid, refined around the best
     local maxima.
 
-    within: frequency range [rad/s], default the whole grid; its ends are evaluated too. All
+    within: frequency range [rad/s], default the whole grid; its ends are evaluated too. values: the
+    quantities over the grid, where they are known. All
     brackets share each round's evaluation of the loop and are narrowed 256 times; the error left is
     the non-parabolic part of the curve within them.
     """
-    values = [rows(response) for rows in quantities]
+    values = [rows(response) for rows in quantities] if values is None else values
     sizes = [len(v) for v in values]
     stacked = np.vstack(values)
     low, high = within or (response.omega[0], response.omega[-1])
@@ -323,10 +354,15 @@ def _narrow(
     for bracket, line in zip(brackets, points, strict=True):
         line[np.argmin(np.abs(line - bracket.omega[1]))] = bracket.omega[1]
     response = evaluator(points.ravel())
-    new = [rows(response) for rows in quantities]
-    for k, bracket in enumerate(brackets):
-        group = owner[bracket.row]
-        line = new[group][bracket.row - first[group], k * _INSIDE : (k + 1) * _INSIDE]
+    # every quantity at the points of its own brackets alone
+    groups = owner[[bracket.row for bracket in brackets]]
+    lines = np.empty(points.shape)
+    for group in np.unique(groups):
+        mine = np.flatnonzero(groups == group)
+        at = (mine[:, None] * _INSIDE + np.arange(_INSIDE)).ravel()
+        new = quantities[group](response[at]).reshape(-1, len(mine), _INSIDE)
+        lines[mine] = new[[brackets[k].row - first[group] for k in mine], np.arange(len(mine))]
+    for k, (bracket, line) in enumerate(zip(brackets, lines, strict=True)):
         omega = np.concatenate([bracket.omega[:1], points[k], bracket.omega[2:]])
         value = np.concatenate([bracket.value[:1], line, bracket.value[2:]])
         i = int(np.clip(np.argmax(value), 1, _INSIDE))
@@ -433,11 +469,12 @@ def sensitivity_checks(
 
     Where a curve rises higher on the grid beyond that range, the check's detail says so.
     """
-    peaks = peaks_of([quantity.rows for quantity in _QUANTITIES], response, evaluator, within)
+    every = [quantity.rows(response) for quantity in _QUANTITIES]
+    rows = [quantity.rows for quantity in _QUANTITIES]
+    peaks = peaks_of(rows, response, evaluator, within, every)
     labels = ("max", *response.axes)
     checks, curves = [], []
-    for quantity, row in zip(_QUANTITIES, peaks, strict=True):
-        values = quantity.rows(response)
+    for quantity, values, row in zip(_QUANTITIES, every, peaks, strict=True):
         for label, peak, curve in zip(labels, row, values, strict=True):
             rule = quantity.max_rule if label == "max" else quantity.axis_rule
             what = ALL_AXES if label == "max" else label

@@ -343,8 +343,9 @@ def check_over_box(
     The sensitivity is that of the full plant behind its hold (``sampled_box``) at the nominal
     point, at corners, samples and the points given; from the worst of them the search climbs
     inside the box. The frequencies are those of a net and of every member's own resonances, which a
-    reduced plant tells. Stability is decided by eigenvalues, of the full plant's loop where those of
-    the reduced one lie outermost and at the worst point found. Unlike ``robust.check`` nothing is proved between the points.
+    reduced plant tells. Stability is decided by eigenvalues, of the full plant's loop where those
+    of the reduced one lie outermost, and at the worst point found. Unlike ``robust.check`` nothing
+    is proved between the points.
     Raises InvalidInput.
     """
     controller = match_controller(controller, plant)
@@ -447,7 +448,9 @@ class _FullPoles:
         """Poles (n,) at each of points (d, k)."""
         new = {point.tobytes(): point for point in points if point.tobytes() not in self._known}
         if new:
-            self._known |= zip(new, self.box.closed_loop_poles(np.array([*new.values()])))
+            self._known |= zip(
+                new, self.box.closed_loop_poles(np.array([*new.values()])), strict=True
+            )
         return [self._known[point.tobytes()] for point in points]
 
 

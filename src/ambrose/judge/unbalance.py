@@ -551,7 +551,10 @@ def unbalance_checks(
         lambda r: worst_forces(r, residual, plant),
     ]
     within = (float(response.omega[0]), highest)
-    (worst,), in_phase, antiphase, currents, forces = peaks_of(cases, response, evaluator, within)
+    values = [case(response) for case in cases]
+    (worst,), in_phase, antiphase, currents, forces = peaks_of(
+        cases, response, evaluator, within, values
+    )
     note = (
         f"G{residual.grade * 1e3:g} at {residual.speed / TWO_PI:.4g} Hz, {residual.mass:.4g} kg: "
         f"{float(residual.force(residual.speed)):.4g} N there"
@@ -589,10 +592,10 @@ def unbalance_checks(
     running = running_range(requirements.running_speeds, (point.speed for point in points))
     if running is not None and runs_within(plant.point.speed, running):
         near = response.omega <= _NEAR * running[1]
-        turning = np.vstack([case(response)[:, near] for case in cases[1:3]])
+        turning = np.vstack([each[:, near] for each in values[1:3]])
         checks.append(separation_check(response.omega[near], turning, requirements, running))
     in_range = response.omega <= max(highest, residual.speed)
-    orbits = np.vstack([case(response)[:, in_range] for case in cases[:3]])
+    orbits = np.vstack([each[:, in_range] for each in values[:3]])
     omega = response.omega[in_range]
     return checks, [
         _orbit_curve(machine, omega, orbits, requirements),
@@ -601,7 +604,7 @@ def unbalance_checks(
             "Worst-case unbalance current, 0-p",
             "speed",
             omega,
-            cases[3](response)[:, in_range],
+            values[3][:, in_range],
             response.axes,
             "rad/s",
             "A",
