@@ -1,5 +1,5 @@
-"""`ambrose study` of both machines of the thesis in a process of its own: processor time, memory,
-size of the page.
+"""`ambrose study` of both machines of the thesis and `ambrose verify` of two large ones, each in a
+process of its own: processor time, memory, size of the page.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 _TARGETS = {"seal-rig": "< 40 s, page < 5 MB", "turboexpander": "< 90 s, page < 5 MB"}
+_VERIFIED = {"three-bearing-train": "< 20 s", "process-compressor": "< 20 s"}
 
 
 def run(smoke: bool = False) -> Iterator[dict[str, Any]]:
@@ -25,6 +26,8 @@ def run(smoke: bool = False) -> Iterator[dict[str, Any]]:
         return
     for name in _TARGETS:
         yield _study(name)
+    for name in _VERIFIED:
+        yield _verify(name)
 
 
 def _study(name: str) -> dict[str, Any]:
@@ -33,6 +36,16 @@ def _study(name: str) -> dict[str, Any]:
         size = (Path(folder) / "report.html").stat().st_size / 1e6
     error = f"page {size:.2f} MB, {memory:.0f} MB of memory at most"
     return _row(f"study of {name}", seconds, error, _TARGETS[name])
+
+
+def _verify(name: str) -> dict[str, Any]:
+    """The machine's PID at 10 kHz, on the full plants and over the tolerances."""
+    with tempfile.TemporaryDirectory() as folder:
+        controller = str(Path(folder) / "pid.json")
+        _spent("synthesize", name, "--method", "pid", "-o", controller)
+        seconds, memory = _spent("verify", name, controller, "--rate-hz", "10000")
+    error = f"{memory:.0f} MB of memory at most"
+    return _row(f"verify of {name}, PID at 10 kHz", seconds, error, _VERIFIED[name])
 
 
 def _spent(*arguments: str) -> tuple[float, float]:

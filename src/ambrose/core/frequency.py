@@ -25,6 +25,7 @@ from ambrose.core.statespace import Names, as_statespace, balance_matrix as bala
 _LEAF = 16  # rows solved one by one at the bottom of the recursion
 _NEAR = 100.0  # points within so many rounding errors of a pole are evaluated one by one
 _CHUNK = 2_000_000  # complex numbers held for one batch of frequencies: 32 MB
+_NETS, _FINER = 7, 9  # one in the other, that end in a peak; points of each
 # of the eigenvectors (norms of right and left ones), up to which residues lose at most these digits
 _SPREAD = 1e4
 
@@ -146,6 +147,27 @@ def largest_gains(values: np.ndarray, axis: int = -1) -> np.ndarray:
     asked = ~(whole < least * (1 - 1e-12))
     found[asked] = largest_gain(values[asked])
     return np.asarray(found)
+
+
+def peak_near(gain: Callable[[np.ndarray], np.ndarray], grid: np.ndarray) -> tuple[float, float]:
+    """The frequency of the largest gain near the best of an ascending grid (w,), and its value:
+    by nets between the neighbours of the best, each in the one before, then the vertex of the
+    parabola through the best three. gain: of frequencies (w,), (w,).
+    """
+    best = 0.0, -np.inf
+    for stage in range(_NETS):
+        value = gain(grid)
+        k = int(value.argmax())
+        if value[k] > best[1]:
+            best = float(grid[k]), float(value[k])
+        low, high = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
+        if stage < _NETS - 2 or not low < grid[k] < high:
+            grid = np.linspace(low, high, _FINER)
+            continue
+        bend = value[k - 1] - 2 * value[k] + value[k + 1]
+        share = 0.5 * (value[k - 1] - value[k + 1]) / bend if bend < 0 else 0.0
+        grid = np.array([grid[k] + share * (high - low) / 2])
+    return best
 
 
 def check_nyquist(omega: np.ndarray, dt: float) -> None:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import AmbroseError, invalid, named_failure
-from ambrose.core.frequency import largest_gain
+from ambrose.core.frequency import largest_gain, peak_near
 from ambrose.core.lft import Block, ComplexBlock, FullBlock
 from ambrose.core.mu.all_frequencies import least_level, proved_level
 from ambrose.core.mu.structure import structure_of
@@ -167,12 +167,11 @@ def worst_case_gain(system: Any, blocks: Sequence[Block], seed: int = 1) -> BoxG
 
 
 @named_failure("the worst gain in the box")
-def worst_gain(loop: BoxLoop, seed: int = 1, also: Sequence[float] = ()) -> BoxGain:
+def worst_gain(loop: BoxLoop, seed: int = 1) -> BoxGain:
     """The largest singular value of T(delta) over the box and all frequencies, from below.
 
     Corners, samples and the centre on a grid and beside their own poles, then ascent from the best
-    of different bands of frequency. The loop must be stable all over the box. also: frequencies
-    [rad/s] at which to look besides.
+    of different bands of frequency. The loop must be stable all over the box.
     """
     grid = np.concatenate([[0.0], default_grid(loop)])
     members = box_points(loop.parameters, seed=seed)
@@ -191,10 +190,13 @@ def worst_gain(loop: BoxLoop, seed: int = 1, also: Sequence[float] = ()) -> BoxG
     passed: list[BoxGain] = []
     for row, omega in starts:
         best = max(best, _ascend(loop, members[row], omega, passed), key=lambda item: item.value)
-    for omega in also:
-        at = worst_gain_at(loop, omega)
-        best = max(best, _ascend(loop, at.delta, omega, passed), key=lambda item: item.value)
     return best
+
+
+@named_failure("the worst gain in the box")
+def worst_gain_beside(loop: BoxLoop, omega: float) -> BoxGain:
+    """As ``worst_gain``, by ascent from the worst at one frequency [rad/s] alone."""
+    return _ascend(loop, worst_gain_at(loop, omega).delta, omega, [])
 
 
 @named_failure("the worst gain in the box")
@@ -417,20 +419,8 @@ def _slopes(
 def peak_at(
     loop: BoxLoop, delta: np.ndarray, left: float, middle: float, right: float
 ) -> tuple[float, float]:
-    """Frequency [rad/s] and value of the largest gain at delta (k,) near ``middle``, by a narrowing
-    net in [left, right].
+    """Frequency [rad/s] and value of the largest gain at delta (k,) near ``middle`` in [left,
+    right].
     """
-    best, value = middle, _gain(loop, delta, middle)
-    for _ in range(8):
-        net = np.unique(np.concatenate([np.linspace(left, best, 6), np.linspace(best, right, 6)]))
-        if len(net) < 2:  # no other number between
-            break
-        row = gains(loop.at(net), loop, delta[None])[0]
-        i = int(row.argmax())
-        if row[i] > value:
-            best, value = float(net[i]), float(row[i])
-        left, right = (
-            max(left, best - (net[1] - net[0]) * 1.5),
-            min(right, best + (net[-1] - net[-2]) * 1.5),
-        )
-    return best, value
+    net = np.unique([left, middle, right])
+    return peak_near(lambda omega: gains(loop.at(omega), loop, delta[None])[0], net)

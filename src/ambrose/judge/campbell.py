@@ -772,12 +772,16 @@ def _crossing(start: _Modes, end: _Modes, highest: float) -> float | None:
     inside = (share > 0) & (share < 1)
     if not inside.any():
         return None
-    # to first order two poles that meet part by the square root of m_ij m_ji, m = w (A' - A) v
+    # to first order two poles that meet part by the square root of m_ij m_ji, m = w (A' - A) v, of
+    # those that cross any
+    some = np.flatnonzero(inside.any(axis=0))
+    light, share, inside = light[some], share[np.ix_(some, some)], inside[np.ix_(some, some)]
+    before, after = before[np.ix_(some, some)], after[np.ix_(some, some)]
     change = end.A - start.A
     coupling = np.maximum(
         share * start.coupling(light, change), (1 - share) * end.coupling(light, change)
     )
-    top = np.maximum(a.real, b.real)
+    top = np.maximum(a.real, b.real)[some]
     inside &= np.maximum(top[:, None], top[None, :]) + _BEND * coupling > highest
     # at an end that near to it what bends there is seen
     inside &= np.minimum(np.abs(before), np.abs(after)) > _NEAR * coupling

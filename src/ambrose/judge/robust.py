@@ -43,6 +43,7 @@ from ambrose.core.worst_case import (
     proved_gain,
     proved_margin,
     worst_gain,
+    worst_gain_beside,
 )
 from ambrose.core.worst_case_loop import (
     BoxLoop,
@@ -458,7 +459,7 @@ def _worst_and_bound(loop: BoxLoop, grid: np.ndarray) -> tuple[BoxGain, Check]:
     bound = proved_gain(loop, worst.value, near)
     # search where the proof says it may be
     if np.isfinite(bound.value) and bound.value > (1 + _APART) * worst.value:
-        refined = worst_gain(loop, also=(bound.frequency,))
+        refined = worst_gain_beside(loop, bound.frequency)
         if refined.value > worst.value:
             worst = refined
     how = "proved at all frequencies"

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
-from ambrose.core.frequency import SchurForm, evaluate, largest_gains, schur_form
+from ambrose.core.frequency import SchurForm, evaluate, largest_gains, peak_near, schur_form
 from ambrose.core.lft import Ports, RealBlock, ports, upper_lft, upper_lft_responses
 from ambrose.core.mu.all_frequencies import Chords, modal_chords
 from ambrose.core.sampling import held
@@ -60,7 +60,6 @@ from ambrose.model.uncertainty import (
 ALIASES = 4  # on either side: see above
 _SAME = 1e-3  # relative, frequencies of one peak
 _FIRST_LOOK = 1  # of them, where members are only put in order
-_NETS, _FINER = 7, 9  # of frequencies, one in the other, that end in a peak; points of each
 _HELD = 4000  # responses of members worked on at once, which a processor keeps near
 _LOWEST = 1.0  # rad/s, of the grid
 _PER_DECADE = 25  # what is not a resonance is broad
@@ -205,21 +204,8 @@ class SampledBox:
         """The peak over frequency at a point (k,): the best of omega (w,), refined between its
         neighbours.
         """
-        best, grid = Peak(-np.inf, 0.0, delta), np.unique(omega)
-        for stage in range(_NETS):
-            value = self.gains(grid, delta[None])[0]
-            k = int(value.argmax())
-            if value[k] > best.value:
-                best = Peak(float(value[k]), float(grid[k]), delta)
-            low, high = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
-            if stage < _NETS - 2 or not low < grid[k] < high:
-                grid = np.linspace(low, high, _FINER)
-                continue
-            # of the last net but one the vertex of the parabola through its best three
-            bend = value[k - 1] - 2 * value[k] + value[k + 1]
-            share = 0.5 * (value[k - 1] - value[k + 1]) / bend if bend < 0 else 0.0
-            grid = np.array([grid[k] + share * (high - low) / 2])
-        return best
+        at, value = peak_near(lambda w: self.gains(w, delta[None])[0], np.unique(omega))
+        return Peak(value, at, delta)
 
     def climb(self, start: Peak, passed: list[Peak], rounds: int = 6) -> Peak:
         """A higher peak nearby: one parameter at a time to the ends of its tolerance, or half of
