@@ -13,8 +13,9 @@ downhill: a step in delta that lowers the largest entry and keeps the eigenvalue
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -22,7 +23,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from ambrose.core.checks import UnstableSystem, check_shape, invalid, named_failure
-from ambrose.core.frequency import largest_gain
+from ambrose.core.frequency import largest_gain, largest_gains
 from ambrose.core.lft import Block, Ports, RealBlock, ports, upper_lft, upper_lft_responses
 from ambrose.core.mu.all_frequencies import Chords, ChordsBetween, chords
 from ambrose.core.mu.structure import osborne, structure_of
@@ -172,19 +173,27 @@ def gains(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
     """Largest singular value of T(delta), (d, w), infinite on a pole; M (w, n + p, n + m) of
     ``loop.at``, delta (d, k).
     """
+    return _of_members(largest_gain, M, loop, delta)
+
+
+def envelope(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
+    """The largest of ``gains`` over all points delta (d, k), (w,)."""
+    return _of_members(partial(largest_gains, axis=0), M, loop, delta).max(axis=0)
+
+
+def _of_members(
+    size: Callable[[np.ndarray], np.ndarray], M: np.ndarray, loop: BoxLoop, delta: np.ndarray
+) -> np.ndarray:
+    """size of T(delta) (d, w), infinite on a pole."""
     # a part of the frequencies at a time: what is held stays in memory that was asked for before
     step = max(1, _CHUNK // max(1, len(delta)))
-    parts = [
-        _largest(transfers(M[start : start + step], loop, delta))
-        for start in range(0, max(1, len(M)), step)
-    ]
+    parts = []
+    for start in range(0, max(1, len(M)), step):
+        T = transfers(M[start : start + step], loop, delta)
+        on_pole = ~np.isfinite(T).all(axis=(2, 3))
+        T[on_pole] = 0.0
+        parts.append(np.where(on_pole, np.inf, size(T)))
     return parts[0] if len(parts) == 1 else np.hstack(parts)
-
-
-def _largest(T: np.ndarray) -> np.ndarray:
-    on_pole = ~np.isfinite(T).all(axis=(2, 3))
-    T[on_pole] = 0.0
-    return np.where(on_pole, np.inf, largest_gain(T))
 
 
 def transfers(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:

@@ -52,6 +52,7 @@ from ambrose.core.worst_case_loop import (
     box_margin,
     corners,
     default_grid,
+    envelope,
     gains,
     samples,
     unstable_poles,
@@ -507,7 +508,7 @@ def _family(
         rows = [gains(M, loop, np.zeros((1, loop.parameters)))]
         labels = ("nominal",)
         if stable.any():
-            rows.append(gains(M, loop, points[stable]).max(axis=0, keepdims=True))
+            rows.append(envelope(M, loop, points[stable])[None])
             labels += ("largest of the stable corners",)
         if worst is not None:
             rows.append(gains(M, loop, worst.delta[None]))
