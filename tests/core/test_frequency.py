@@ -16,6 +16,8 @@ from ambrose.core.frequency import (
     evaluate,
     frequency_response,
     largest_gain,
+    largest_gains,
+    peak_near,
     schur_form,
     state_response_at,
     transfer_matrix,
@@ -95,6 +97,23 @@ def test_largest_gain_is_the_largest_singular_value(shape, scale):
         largest_gain(values), np.linalg.norm(values, 2, axis=(-2, -1)), rtol=1e-14
     )
     assert largest_gain(values[:, :0]).shape == (2, 0)
+    for axis in (0, 1):
+        found = largest_gains(values, axis)
+        wanted = np.linalg.norm(values, 2, axis=(-2, -1)).max(axis=axis)
+        np.testing.assert_allclose(found.max(axis=axis), wanted, rtol=1e-14)
+        assert (found <= np.linalg.norm(values, 2, axis=(-2, -1)) * (1 + 1e-12)).all()
+
+
+@pytest.mark.parametrize("damping", [1e-5, 0.01, 0.5])
+def test_a_peak_is_found_to_the_last_digits(damping):
+    """1/|1 - x^2 + 2 j d x| is largest at x^2 = 1 - 2 d^2, with 1/(2 d sqrt(1 - d^2)); a gain that
+    rises to the end of its grid is largest there.
+    """
+    grid = np.unique([*np.geomspace(0.01, 100, 50), *(1 + damping * np.linspace(-3, 3, 7))])
+    at, value = peak_near(lambda x: 1 / np.abs(1 - x**2 + 2j * damping * x), grid)
+    assert value == pytest.approx(1 / (2 * damping * np.sqrt(1 - damping**2)), rel=1e-10)
+    assert at == pytest.approx(np.sqrt(1 - 2 * damping**2), rel=1e-4)
+    assert peak_near(lambda x: x, grid) == (grid[-1], grid[-1])
 
 
 @pytest.mark.parametrize(("n", "m", "p"), [(0, 2, 3), (3, 0, 2), (3, 2, 0)])

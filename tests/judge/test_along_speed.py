@@ -16,7 +16,14 @@ from ambrose.judge.campbell import threshold_check
 from ambrose.judge.plants import judge_stability
 from ambrose.judge.synchronous import block_loops, check_block
 from ambrose.law.law import law_of
-from ambrose.law.loop import closed_loop, machine_timing, match_controller, running_law
+from ambrose.law.loop import (
+    Timing,
+    closed_loop,
+    loop_alone,
+    machine_timing,
+    match_controller,
+    running_law,
+)
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint, Operation, Requirements
 from ambrose.machine.file.toml import load_machine
@@ -290,3 +297,13 @@ def test_check_and_verify_tell_the_threshold_speed_of_rotating_damping():
     assert row.value == pytest.approx(found, rel=2e-3) and row.limit is None
     still = facts(replace(machine, rotating_share=0.0))
     assert "threshold_speed_rad_s" not in still
+
+
+def test_the_loop_alone_has_the_poles_of_the_closed_loop():
+    machine = coarse("seal-rig")
+    plant = assemble(machine)
+    law = pid_controller(machine.reference, machine)
+    for running in (match_controller(law, plant), running_law(law, plant, Timing(1e-4))):
+        alone, whole = loop_alone(plant, running), closed_loop(plant, running)
+        assert alone.dt == whole.dt
+        np.testing.assert_allclose(alone.A, whole.A, rtol=1e-10, atol=1e-10 * abs(whole.A).max())

@@ -13,6 +13,7 @@ from ambrose.core.checks import NumericalFailure
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, feedback, poles, select, series, static_gain
+from ambrose.core.worst_case_loop import box_points
 from ambrose.judge.result import certify
 from ambrose.judge.sampled import SampledBox, check_over_box, sampled_box
 from ambrose.law.loop import Timing, match_controller
@@ -147,3 +148,13 @@ def test_a_member_with_an_algebraic_loop_is_refused():
     box = replace(box, system=StateSpace(s.A, s.B, s.C, D, s.inputs, s.outputs))
     with pytest.raises(NumericalFailure, match="algebraic"):
         box.closed_loop_poles(np.array([[0.1], [0.5]]))
+
+
+def test_the_outermost_pole_over_the_box_is_that_of_all_members_on_the_full_plant(loop):
+    """Every corner and sample on the full plant, against the few that the check looks at."""
+    plant, controller, held = loop
+    check = check_over_box(plant, controller, held)["sampled.abscissa.box"]
+    box = sampled_box(plant, controller, held)
+    every = box.closed_loop_poles(box_points(len(held), 32)).real.max()
+    assert check.value >= every - 1e-9 * abs(every)
+    assert check.value == pytest.approx(every, rel=1e-3)  # or that of a reduced plant

@@ -142,10 +142,13 @@ def largest_gains(values: np.ndarray, axis: int = -1) -> np.ndarray:
     # longest column <= sigma_max <= |T|_F, and sigma_max^2 <= |T|_1 |T|_inf: what cannot reach the
     # largest lower bound is not asked
     size = np.abs(values)
-    columns = np.square(size).sum(axis=-2)
-    found = np.sqrt(columns.max(axis=-1, initial=0.0))
-    sums = size.sum(axis=-2).max(axis=-1, initial=0.0) * size.sum(axis=-1).max(axis=-1, initial=0.0)
-    least = np.square(found).max(axis=axis, keepdims=True, initial=0.0)
+    with np.errstate(over="ignore"):
+        columns = np.square(size).sum(axis=-2)
+        found = np.sqrt(columns.max(axis=-1, initial=0.0))
+        sums = size.sum(axis=-2).max(axis=-1, initial=0.0) * size.sum(axis=-1).max(
+            axis=-1, initial=0.0
+        )
+        least = np.square(found).max(axis=axis, keepdims=True, initial=0.0)
     asked = ~(np.minimum(columns.sum(axis=-1), sums) < least * (1 - 1e-12))
     found[asked] = largest_gain(values[asked])
     return np.asarray(found)
