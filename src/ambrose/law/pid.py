@@ -42,7 +42,11 @@ from ambrose.model.static_load import magnet_coefficients
 
 DERIVATIVE_FILTER = 0.1  # time constant over the derivative's, where none is stated
 # of a section's numbers by a part of their keys: factor from SI, unit
-SECTION_UNITS = {"time": (1e3, "ms"), "frequency": (0.5 / np.pi, "Hz"), "phase": (180 / np.pi, "deg")}
+SECTION_UNITS = {
+    "time": (1e3, "ms"),
+    "frequency": (0.5 / np.pi, "Hz"),
+    "phase": (180 / np.pi, "deg"),
+}
 
 
 def pid(

@@ -47,8 +47,8 @@ def independent(section, w):
     v = {key: getattr(section, key) for key in section.to_dict()}
     match section.kind:
         case "pid":
-            T = v["derivative_time"]
-            return 1 + 1 / (v["integral_time"] * s) + T * s / (v["derivative_filter"] * T * s + 1)
+            T, eps = v.get("derivative_time", 0.0), v.get("derivative_filter") or 0.1
+            return 1 + 1 / (v.get("integral_time", math.inf) * s) + T * s / (eps * T * s + 1)
         case "notch":
             z, p = s / v["zero_frequency"], s / v["pole_frequency"]
             return (z**2 + 2 * v["zero_damping"] * z + 1) / (p**2 + 2 * v["pole_damping"] * p + 1)
@@ -222,7 +222,7 @@ def test_a_vendors_table_is_edited_saved_and_verified(tmp_path):
     for plant in full_plants(machine):
         one, two = (judge_stability(plant, law, timing).abscissa for law in (saved, theirs))
         assert one == pytest.approx(two, rel=1e-5) and one < 0
-    verified = amb.verify(machine, saved, points="nominal", tolerances=False)
+    verified = amb.verify(machine, saved, points="full speed", tolerances=False)
     assert verified.points[0].stable
     # a notch more, and the file is another one
     document["channel"][0]["section"].append(SECTIONS[1].to_dict())
@@ -323,7 +323,7 @@ def test_controllers_are_compared_at_every_point(project):
 def test_an_unstable_loop_leaves_nothing_of_the_stable_one(project):
     """At no point stable: the open loop is drawn, and neither sensitivity nor pulse stays."""
     told, blocks = ask(project, "look", chains=turned(project, gain=10.0))
-    assert blocks["verdict"]["text"].startswith("FAILED: the loop is unstable at standstill")
+    assert blocks["verdict"]["text"].startswith("FAILED: the loop is unstable at nominal pressure (+")
     assert {"size-0", "phase-0", "loci"} <= set(blocks)
     assert {"sensitivity", "pulse"} <= set(told["gone"]) - set(blocks)
 

@@ -44,7 +44,7 @@ _LETTER = 0.55  # mean width of a letter over its height
 _WIDE_LETTER = 0.58  # of words that may not be cut off
 _ROW = 18  # [px] of the legend
 _SOME = 100  # points of a line that goes to and fro; from here on they are thinned
-_MANY = 2000  # points of a line over x; from here on they are thinned before they are drawn
+_MANY = 800  # points of a line over x; from here on they are thinned before they are drawn
 _TICK = 12  # [px], height of the numbers at the axes
 
 

@@ -22,12 +22,13 @@ from ambrose.annexes.workbench.jobs import CHOICES
 from ambrose.annexes.workbench.project import MACHINE, Project, slug
 from ambrose.annexes.workbench.screens import Screen
 from ambrose.annexes.workbench.svg import Drawing, bode_figure, drawing, nyquist_figure, svg
+from ambrose.core.aliasing import logarithm
 from ambrose.core.checks import InvalidInput, named_failure
 from ambrose.core.frequency import frequency_response, largest_gain
 from ambrose.core.realisation import invariant_zeros
-from ambrose.core.sampling import between
-from ambrose.core.statespace import StateSpace
-from ambrose.judge.campbell import modes
+from ambrose.core.response import pulses
+from ambrose.core.sampling import between, c2d
+from ambrose.core.statespace import StateSpace, select
 from ambrose.judge.checks import Check, Curve, judge
 from ambrose.judge.controller_file import read_controller, write_controller
 from ambrose.judge.loop_response import (
@@ -37,8 +38,6 @@ from ambrose.judge.loop_response import (
     loop_evaluator,
     sensitivity_curve,
 )
-from ambrose.judge.margins import opened_loops
-from ambrose.judge.nominal import pulse_checks, pulse_response
 from ambrose.judge.plants import Stability, campbell_map, full_plants, judge_stability
 from ambrose.judge.result import Provenance, Synthesis, continuous_equivalent
 from ambrose.law.law import Law, LawLike, law_of
@@ -60,6 +59,7 @@ from ambrose.law.pid import (
     pid_controller,
 )
 from ambrose.machine.criteria import (
+    CURRENT_PULSE,
     SENSITIVITY,
     SENSITIVITY_RANGE,
     SPEED_RANGE_FACTOR,
@@ -86,7 +86,8 @@ from ambrose.report.page import Cell
 
 _LOWEST = 0.5 * TWO_PI  # [rad/s]
 _PER_DECADE = 60  # points of the grid, beside those around the poles
-LARGEST, MOST = "largest of the axes", "axis that moves most"
+_PULSE, _STEP = 0.25, 1e-4  # [s] that answer a pulse, and between them where the loop is continuous
+LARGEST, WORST = "largest of the axes", "axis of the largest sensitivity"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,8 +96,8 @@ class Glance:
 
     response: plant and controller as it runs, and loci (w, a): the loop of every axis, opened at
     its sensor with the others closed; sensitivity: the largest |S_ii| of any axis over frequency,
-    which ISO 14839-3 judges; pulse: the displacement that answers a short current, of the axis that
-    moves most, over the first quarter of a second. checks: the peaks on the grid of the largest
+    which ISO 14839-3 judges; pulse: the displacement of that axis after a short current in it,
+    over the first quarter of a second. checks: the peaks on the grid of the largest
     axis, which has a zone, and of all axes together, against the limits that ``check`` has.
     """
 
@@ -129,19 +130,27 @@ def glance(plant: Plant, given: LawLike, timing: Timing | None) -> Glance:
     if law.dt is not None:
         highest = min(highest, np.pi / law.dt)
     closed = closed_loop(plant, law)
-    poles = modes(closed, plant.ports, plant.system).poles
+    # [rad/s], for the grid: within half the sample rate, as it is
+    poles = np.linalg.eigvals(closed.A).astype(complex)
+    poles = poles if closed.dt is None else logarithm(poles, closed.dt)
     response = loop_evaluator(plant, law)(frequency_grid(poles, _LOWEST, highest, _PER_DECADE))
-    loops = opened_loops(response, "output")
+    S = response.output_sensitivity()
+    own = np.einsum("wii->wi", S)
+    loops = 1 / own - 1
     if not stability.stable:
         return Glance(stability, response, loops)
     curve = sensitivity_curve(response, requirements)
-    largest = replace(curve, y=curve.y.max(axis=0)[None], labels=(LARGEST,))
-    answer = pulse_response(closed, plant, longest=0.0)
-    _, (moved, _) = pulse_checks(answer, plant, requirements)
-    most = int(np.abs(moved.y).max(axis=1).argmax())
+    largest = replace(curve, y=np.abs(own).max(axis=1)[None], labels=(LARGEST,))
+    worst = plant.axes[int(np.abs(own).max(axis=0).argmax())]
+    part = select(closed, [f"e_{worst}"], [f"y_{worst}"])
+    part = part if part.dt else c2d(part, _STEP)
+    step = part.dt or _STEP
+    time = np.arange(round(_PULSE / step)) * step
+    length = max(1, round(CURRENT_PULSE.duration / step))
+    moved = pulses(part, CURRENT_PULSE.amplitude, length, len(time))[0]
     # one name at every point, whichever axis it is, so that all stand in one picture
-    one = replace(moved, y=moved.y[most][None], labels=(MOST,))
-    together = float(largest_gain(response.output_sensitivity()).max())
+    one = Curve("pulse", "Displacement", "time", time, moved, (WORST,), "s", "m")
+    together = float(largest_gain(S).max())
     checks = tuple(
         judge(name, title, value, "-", demand(rule, requirements))
         for name, title, value, rule in (
@@ -332,6 +341,7 @@ _PARTS = {"size": "magnitude", "phase": "phase"}  # of a Bode figure, and their 
 # with the power of a frequency and of a magnitude, "width" and "phase"
 Grip = tuple[float, str, str, list[list[Any]]]
 _kept: dict[str, tuple[Machine, tuple[Plant, ...], float]] = {}  # of the last text, reduced plants
+_timings: dict[tuple[float | None, float | None], Timing | None] = {}  # of its loops
 
 
 def _bench(project: Project) -> tuple[Machine, tuple[Plant, ...], float]:
@@ -346,6 +356,7 @@ def _bench(project: Project) -> tuple[Machine, tuple[Plant, ...], float]:
         plants = tuple(reduce(p, default_bending_modes(p)) for p in full)
         bending = [w for p in plants if (w := _first_bending(p))]
         _kept.clear()
+        _timings.clear()
         _kept[text] = machine, plants, bending[0] if bending else 100 * TWO_PI
     return _kept[text]
 
@@ -499,14 +510,12 @@ def _look(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
             laws[name] = law_of(pid_controller(settings[name], machine))
         else:
             laws[name] = law_of(read_controller(project.path("controllers", name), machine))
-    seen = {
-        name: [
-            _glance(law, plant, machine, settings.get(name))
-            for plant in plants
-            if law.covers(plant)
-        ]
-        for name, law in laws.items()
-    }
+    seen = {}
+    for name, law in laws.items():
+        # as it runs: filters with their own timing, a file with its own
+        own = settings.get(name)
+        timing = timing_of(machine, law) if own is None else _timing(machine, own)
+        seen[name] = [glance(plant, law, timing) for plant in plants if law.covers(plant)]
     modes = plants[0].bending_modes or 0
     note = (
         f"On the plant with {modes} bending mode{'s' * (modes != 1)} per plane, without tolerances."
@@ -558,11 +567,12 @@ def _chosen(project: Project, given: Mapping[str, Any]) -> list[str]:
     return names
 
 
-def _glance(law: Law, plant: Plant, machine: Machine, settings: PidSettings | None) -> Glance:
-    """As it runs: of filters with their timing, of a file with its own."""
-    if settings is not None:
-        return glance(plant, law, machine_timing(replace(machine, controller=settings)))
-    return glance(plant, law, timing_of(machine, law))
+def _timing(machine: Machine, settings: PidSettings) -> Timing | None:
+    """Of filters: what they state, with the machine's chain; once for all that state the same."""
+    key = settings.sample_time, settings.delay
+    if key not in _timings:
+        _timings[key] = machine_timing(replace(machine, controller=settings))
+    return _timings[key]
 
 
 def _table(seen: Mapping[str, Sequence[Glance]], plants: Sequence[Plant], note: str) -> Block:
@@ -671,7 +681,7 @@ def _bode(
             S = np.linalg.inv(np.eye(len(names)) + into @ look.response.G @ out @ K)
             gain = 1 / np.einsum("wii->wi", S) - 1
         lines[label] = look.response.omega, gain
-    timing = machine_timing(replace(machine, controller=settings))
+    timing = _timing(machine, settings)
     T = None if timing is None else timing.sample_time
     for part, words in _PARTS.items():
         for c, channel in enumerate(settings.channels):
@@ -707,7 +717,7 @@ def _handles(
         height = float(np.interp(np.log(at), np.log(x), y))
         px, py = float(drawn.at("x", [at])[0]), float(drawn.at("y", [height])[0])
         number = f" {r + 1}" if r >= 0 else ""
-        label = f"{kind}{number} of {', '.join(channel.names)}: {words}, {at:.4g} Hz"
+        label = f"{kind}{number} of {', '.join(channel.names)}: {words}, {w / TWO_PI:.4g} Hz"
         px, py = float(np.clip(px, left, left + wide)), float(np.clip(py, top, top + tall))
         place = {"x": round(px, 1), "y": round(py, 1), "channel": c, "row": r}
         yield {**place, "label": label, "terms": terms}
@@ -752,7 +762,7 @@ def _campbell(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     """The modes of the loop over speed, of the full plant."""
     machine, plants, _ = _bench(project)
     settings = _edited(project, machine, given, "chains")
-    timing = machine_timing(replace(machine, controller=settings))
+    timing = _timing(machine, settings)
     law = running_law(pid_controller(settings, machine), plants[0], timing)
     frequencies, _ = campbell_map(plants[0], law, lambda stage: None)
     with theme.bare():
