@@ -481,11 +481,13 @@ def test_a_check_does_not_move_the_rows(tour, server, chromium):
     page = new_page(chromium)
     page.goto(server.address() + "#controllers")
     page.wait_for_selector("figure svg")
-    slider = page.locator("[name='channel.0.gain']")
-    before = slider.bounding_box(), slider.input_value()
-    page.get_by_role("button", name="Check on the full plant").click()
+    gain = page.locator("[name='channel.0.gain']")
+    check = page.get_by_role("button", name="Check on the full plant")
+    check.scroll_into_view_if_needed()
+    before = gain.bounding_box(), gain.input_value()
+    check.click()
     page.wait_for_selector("h2:has-text('Full plant:')")
-    assert (slider.bounding_box(), slider.input_value()) == before
+    assert (gain.bounding_box(), gain.input_value()) == before
     page.context.close()
 
 

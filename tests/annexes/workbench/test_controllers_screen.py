@@ -303,7 +303,7 @@ def test_what_is_saved_is_judged_as_a_designed_one_is(tmp_path):
 
 
 def test_controllers_are_compared_at_every_point(project):
-    for name in ("one", "two", "three"):
+    for name in ("one", "two", "three", "four"):
         ask(project, "save", name=name)
     chosen = {"with.one.json": True, "with.as opened": True}
     _, blocks = ask(project, "look", chains=turned(project, gain=25000.0), **chosen)
@@ -315,15 +315,18 @@ def test_controllers_are_compared_at_every_point(project):
     # dashed, at the stable points as well as at the one that is not, in the legend once
     assert blocks["size-0"]["svg"].count('stroke-dasharray="7,3"') >= 3
     assert blocks["size-0"]["svg"].count(">as opened, ") == 1
-    with pytest.raises(InvalidInput, match="4 controllers at most"):
-        ask(project, "look", **chosen, **{"with.two.json": True, "with.three.json": True})
+    with pytest.raises(InvalidInput, match="5 controllers at most"):
+        more = {f"with.{name}.json": True for name in ("two", "three", "four")}
+        ask(project, "look", **chosen, **more)
     assert json.dumps(blocks)
 
 
 def test_an_unstable_loop_leaves_nothing_of_the_stable_one(project):
     """At no point stable: the open loop is drawn, and neither sensitivity nor pulse stays."""
     told, blocks = ask(project, "look", chains=turned(project, gain=10.0))
-    assert blocks["verdict"]["text"].startswith("FAILED: the loop is unstable at nominal pressure (+")
+    assert blocks["verdict"]["text"].startswith(
+        "FAILED: the loop is unstable at nominal pressure (+"
+    )
     assert {"size-0", "phase-0", "loci"} <= set(blocks)
     assert {"sensitivity", "pulse"} <= set(told["gone"]) - set(blocks)
 

@@ -318,6 +318,8 @@ def _legend(
 
 
 def _numbers(values: Any) -> np.ndarray:
+    if isinstance(values, np.ndarray):
+        return values.astype(float)
     return np.array([np.nan if value is None else value for value in values], dtype=float)
 
 

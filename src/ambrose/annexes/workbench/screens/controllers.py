@@ -1,5 +1,5 @@
 """The controller bench: the filters of every channel as rows and as handles on the loop's Bode
-figures, what they do at every operating point, up to four controllers side by side, the designs as
+figures, what they do at every operating point, up to five controllers side by side, the designs as
 jobs.
 
 While a handle moves, the loop is judged on plants that are reduced to the modes that matter, so
@@ -332,20 +332,21 @@ def named_section(
 # What is shown of it: rows, handles, figures.
 
 
-_MOST = 4  # controllers that are compared
+_MOST = 5  # controllers that are compared, with the edited one and as it was opened
 _EDITED, _OPENED = "the filters", "as opened"
-_DASHES = ("7px,3px", "2px,2px", "10px,3px,2px,3px")  # of what is compared
+_DASHES = ("7px,3px", "2px,2px", "10px,3px,2px,3px", "4px,4px")  # of what is compared
 _VERDICTS = tuple(f"verdict-{i}" for i in range(9))  # keys of their tables
 _PARTS = {"size": "magnitude", "phase": "phase"}  # of a Bode figure, and their words
 # where the handles of a filter stand, and how they turn its numbers (static/editor.js): "x" and "y"
 # with the power of a frequency and of a magnitude, "width" and "phase"
 Grip = tuple[float, str, str, list[list[Any]]]
+_FIRST = 500 * TWO_PI  # [rad/s], of a new filter, unless the rotor bends before
 _kept: dict[str, tuple[Machine, tuple[Plant, ...], float]] = {}  # of the last text, reduced plants
 _timings: dict[tuple[float | None, float | None], Timing | None] = {}  # of its loops
 
 
 def _bench(project: Project) -> tuple[Machine, tuple[Plant, ...], float]:
-    """The machine, its reduced plants and its first bending frequency [rad/s], made once for a text
+    """The machine, its reduced plants and where a new filter stands [rad/s], made once for a text
     of the file.
     """
     text = read_machine_text(project.machine)
@@ -354,10 +355,9 @@ def _bench(project: Project) -> tuple[Machine, tuple[Plant, ...], float]:
         require_magnets(machine)
         full = full_plants(machine)
         plants = tuple(reduce(p, default_bending_modes(p)) for p in full)
-        bending = [w for p in plants if (w := _first_bending(p))]
         _kept.clear()
         _timings.clear()
-        _kept[text] = machine, plants, bending[0] if bending else 100 * TWO_PI
+        _kept[text] = machine, plants, min(_first_bending(plants[0]) or _FIRST, _FIRST)
     return _kept[text]
 
 
@@ -416,7 +416,7 @@ def _kinds(w: float) -> dict[str, list[tuple[str, str, str, float, Any]]]:
     for kind, keys in SECTIONS.items():
         for key in keys:
             factor, unit = next((u for part, u in SECTION_UNITS.items() if part in key), (1.0, ""))
-            corner = 10 * w if kind == "low-pass" else w
+            corner = 3 * w if kind == "low-pass" else w
             value = first.get(key, corner if "frequency" in key else 0.2)
             found.setdefault(kind, []).append((key, key.replace("_", " "), unit, factor, value))
     return found
@@ -455,16 +455,17 @@ def show_controllers(
     points = ["every point", *(plant.point.label for plant in plants)]
     low, high = machine.operation.speed_range
     turning = [blocks.button("Campbell", "campbell")] if high > low else []
-    drop = blocks.field("drop", "Add a controller or a table", kind="file", to="controllers")
+    drop = blocks.field(
+        "drop", "Or drop a controller or a table of filters here", kind="file", to="controllers"
+    )
     form = blocks.form(
         "bench",
         [
             {**blocks.choice("open", "Edit", [own, *names]), "action": "open"},
             blocks.choice("bode", "Bode figure of the", ["open loop", "controller"]),
             blocks.choice("at", "Curves at", points),
+            blocks.field("name", "Name to save", "bench", action=""),  # asks for no curves
             *compared,
-            drop,
-            blocks.field("name", "Name", "bench", action=""),  # asks for no curves
         ],
         [
             blocks.button("Check on the full plant", "judge"),
@@ -488,7 +489,7 @@ def show_controllers(
         hint="Drag the handles in the Bode figures, or turn them with the arrow keys.",
     )
     methods = blocks.choice("method", "Method", CHOICES["method"], "tuned")
-    design = blocks.form("design", [methods], [blocks.job("Design", "design")], "Design one")
+    design = blocks.form("design", [methods, drop], [blocks.job("Design", "design")], "Design one")
     verdict, *curves = _look(project, given)["blocks"]
     return blocks.content([verdict, rows, form, *curves, design], jobs=["synthesize"])
 
@@ -546,14 +547,18 @@ def _keys(channels: int) -> list[str]:
 def _verdict(looks: Sequence[Glance]) -> Block:
     """Of the filters, at all operating points."""
     lost = [look.stability for look in looks if not look.stability.stable]
-    worst = max(looks, key=lambda look: look.peak)
     passed = all(look.passed for look in looks)
     text = ", ".join(f"{item.label} ({item.abscissa:+.3g} 1/s)" for item in lost)
     text = f"the loop is unstable at {text} (reduced plant); the open loop is drawn."
     if not lost:
+        # the one nearest to its limit, or farthest above it
+        found = [(check, look.stability.label) for look in looks for check in look.checks]
+        worst, label = max(found, key=lambda item: item[0].ratio or 0.0)
+        what = "of an axis" if worst.title == LARGEST else "of all axes together"
+        limit = "" if worst.limit is None else f" (limit {worst.limit:g})"
         text = (
             f"the loop is stable at all {len(looks)} operating points (reduced plant); "
-            f"largest sensitivity of an axis {worst.peak:.3g} at {worst.stability.label}."
+            f"largest sensitivity {what} {worst.value:.3g}{limit} at {label}."
         )
     word = "PASSED" if passed else "FAILED"
     return blocks.words("verdict", f"{word}: {text}", tone="good" if passed else "bad")
@@ -643,12 +648,13 @@ def _pictures(
             curves = [(n, curve) for n, look in shown.items() if (curve := getattr(look, key))]
             if curves:
                 drawn[key] = line_figure(curves, style), f"{title}{place}"
-        for key in ("sensitivity", "loci", "pulse"):
-            if key in drawn:
-                picture, title = drawn[key]
-                _hush(picture, quiet)
-                found.append(blocks.picture(key, svg(picture, each, title, key), title, half=True))
-    return found
+        for key, (picture, title) in drawn.items():
+            _hush(picture, quiet)
+            text = svg(picture, each, title, key)
+            found.append(blocks.picture(key, text, title, half=True))
+    # what a hand looks at while it turns stands together
+    order = ("size", "sensitivity", "loci", "phase", "pulse")
+    return sorted(found, key=lambda block: order.index(block["key"].partition("-")[0]))
 
 
 def _hush(picture: Any, quiet: set[str]) -> None:
