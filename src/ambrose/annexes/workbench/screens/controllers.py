@@ -25,6 +25,7 @@ from ambrose.annexes.workbench.svg import Drawing, bode_figure, drawing, nyquist
 from ambrose.core.aliasing import logarithm
 from ambrose.core.checks import InvalidInput, named_failure
 from ambrose.core.frequency import frequency_response, largest_gain
+from ambrose.core.presentation import to_plain
 from ambrose.core.realisation import invariant_zeros
 from ambrose.core.response import pulses
 from ambrose.core.sampling import between, c2d
@@ -305,16 +306,13 @@ def named_section(
         return b0 / a0, None
     if a2 > 0 and a1 > 0 and a0 > 0 and b0:
         # s^2/w^2 + 2 d s/w + 1
-        gain, poles = (
-            b0 / a0,
-            {"pole_frequency": sqrt(a0 / a2), "pole_damping": a1 / 2 / sqrt(a0 * a2)},
-        )
+        w, d = sqrt(a0 / a2), a1 / 2 / sqrt(a0 * a2)
         if not b2 and not b1:
-            w, d = poles.values()
-            return gain, Section("low-pass", frequency=w, damping=d)
+            return b0 / a0, Section("low-pass", frequency=w, damping=d)
         if b2 / b0 > 0 and b1 / b0 >= 0:
-            d = b1 / b0 / 2 / sqrt(b2 / b0)
-            return gain, Section("notch", zero_frequency=sqrt(b0 / b2), zero_damping=d, **poles)
+            zeros = {"zero_frequency": sqrt(b0 / b2), "zero_damping": b1 / b0 / 2 / sqrt(b2 / b0)}
+            known: dict[str, Any] = {**zeros, "pole_frequency": w, "pole_damping": d}
+            return b0 / a0, Section("notch", **known)
     if not (b2 or a2) and a1 > 0 and a0 > 0 and b0 and b1 / b0 > 0:
         return b0 / a0, Section("lead-lag", zero_frequency=b0 / b1, pole_frequency=a0 / a1)
     if not a0 and a1:
@@ -322,7 +320,9 @@ def named_section(
         b2, b1, b0, t = b2 / a1, b1 / a1, b0 / a1, a2 / a1
         gain = b1 - t * b0
         rate = b2 / gain - t if gain and t > 0 else 0.0
-        times = {"derivative_time": rate, "derivative_filter": t / rate} if rate > 0 else {}
+        times: dict[str, Any] = {}
+        if rate > 0:
+            times = {"derivative_time": rate, "derivative_filter": t / rate}
         if gain and b0 / gain > 0 and (rate > 0 or not (t or b2)):
             return gain, Section("pid", integral_time=gain / b0, **times)
         return 1.0, Section("sos", numerator=(b2, b1, b0), denominator=(t, 1.0, 0.0))
@@ -399,7 +399,7 @@ def grips(section: Section) -> Iterator[Grip]:
                 yield float(w), "poles and zeros", "size", both
 
 
-def _kinds(w: float) -> dict[str, list[tuple[str, str, str, float, Any]]]:
+def _kinds(w: float) -> dict[str, list[list[Any]]]:
     """The keys of every kind of filter: label, unit, factor to it, and its value in a new filter,
     which does nothing yet where it can; w [rad/s]: where that stands.
     """
@@ -412,13 +412,13 @@ def _kinds(w: float) -> dict[str, list[tuple[str, str, str, float, Any]]]:
         "numerator": [1.0],
         "denominator": [1.0],
     }
-    found: dict[str, list[tuple[str, str, str, float, Any]]] = {}
+    found: dict[str, list[list[Any]]] = {}
     for kind, keys in SECTIONS.items():
         for key in keys:
             factor, unit = next((u for part, u in SECTION_UNITS.items() if part in key), (1.0, ""))
             corner = 3 * w if kind == "low-pass" else w
             value = first.get(key, corner if "frequency" in key else 0.2)
-            found.setdefault(kind, []).append((key, key.replace("_", " "), unit, factor, value))
+            found.setdefault(kind, []).append([key, key.replace("_", " "), unit, factor, value])
     return found
 
 
@@ -437,7 +437,7 @@ def _edited(project: Project, machine: Machine, given: Mapping[str, Any], key: s
 
 def _open(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     """The screen with the filters of another controller."""
-    document = opened(project, _bench(project)[0], word(given, "open")).to_dict()
+    document = to_plain(opened(project, _bench(project)[0], word(given, "open")).to_dict())
     return show_controllers(project, {**given, "chains": document, "opened": document}, document)
 
 
@@ -480,7 +480,7 @@ def show_controllers(
     rows = blocks.chains(
         "chains",
         f"Filters of {machine.name}",
-        document or opened(project, machine).to_dict(),
+        document or to_plain(opened(project, machine).to_dict()),
         _kinds(bending),
         live="look",
         side=True,

@@ -51,7 +51,7 @@ export function chains(block, act) {
   const entry = (name, [key, label, unit, factor], part) => {
     const value = part[key];
     const shown = (v) => Number((v * factor).toPrecision(7));
-    const text = value === undefined ? "" : Array.isArray(value) ? value.map(shown).join(" ") : `${shown(value)}`;
+    const text = value === undefined ? "" : [value].flat().map(shown).join(" ");
     const beside = make("small", { className: "bad" });
     const input = make("input", { type: "text", name: `${name}.${key}`, value: text });
     input.addEventListener("change", () => {
