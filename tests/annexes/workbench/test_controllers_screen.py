@@ -270,6 +270,21 @@ def test_a_controller_that_mixes_its_channels_is_refused_and_compared(project):
     path.unlink()
 
 
+def test_a_machine_files_pid_that_mixes_is_not_taken_for_filters(tmp_path):
+    """Gains of the axes behind tilt and translate: another PID is offered, and says so."""
+    made = Project(tmp_path)
+    begin(made, "seal-rig")
+    text = made.machine.read_text()
+    assert "[controller]\ngain = " in text
+    head, _, rest = text.partition("[controller]\n")
+    rest = rest.partition("\n")[2]
+    gains = 'gain = [15000.0, 16000.0, 17000.0, 18000.0]\ncoordinates = "tilt-translate"'
+    made.machine.write_text(f"{head}[controller]\n{gains}\n{rest}")
+    _, blocks = ask(made)
+    assert blocks["bench"]["fields"][0]["options"] == ["a PID to start from"]
+    assert blocks["verdict"]["text"].startswith(("PASSED", "FAILED"))
+
+
 def test_a_turned_number_moves_the_curves_and_is_saved(project):
     documents = [turned(project, gain=gain) for gain in (18250.0, 25000.0)]
     before, after = (ask(project, "look", chains=document)[1] for document in documents)

@@ -166,7 +166,8 @@ def glance(plant: Plant, given: LawLike, timing: Timing | None) -> Glance:
 # that machine files and controller files have, read and refused as these are.
 
 
-_TINY, _SAME, _EXACT = 1e-12, 1e-9, 1e-6  # relative: no link, one chain, one controller
+_TINY, _SAME = 1e-12, 1e-9  # relative: no link between states, one chain
+_EXACT = 1e-6  # relative: one controller
 _FAR = 1e5  # times the fastest pole: a zero that Tustin's map has at infinity
 
 
@@ -174,24 +175,27 @@ def opened(project: Project, machine: Machine, name: str = "") -> PidSettings:
     """The filters of a controller of the folder; of none, those of the machine file, or a PID to
     start from. Raises Refusal for a controller that filters of single channels cannot state.
     """
-    law: Law | None = None
-    known = machine.reference or first_settings(machine)
-    if name in project.names("controllers"):
+    if name not in project.names("controllers"):
+        made = own_filters(machine) or in_chains(first_settings(machine), None, machine)
+    else:
         law = read_controller(project.path("controllers", name), machine)
         known = law.filters or PidSettings()
         if (timing := timing_of(machine, law)) is not None:
             late = timing.delay_samples * timing.sample_time
             known = replace(known, sample_time=timing.sample_time, sample_rate=None, delay=late)
-        known = replace(known, synchronous=law.synchronous)
-    made = in_chains(known, law, machine)
+        made = in_chains(replace(known, synchronous=law.synchronous), law, machine)
     if made is None:
         raise Refusal(
-            f"{name or MACHINE} is no chain of filters for each channel (it mixes or leaves out "
-            "channels, or follows the speed): tick it to compare, and edit a PID or a table of "
-            "filters",
+            f"{name} is no chain of filters for each channel (it mixes or leaves out channels, or "
+            "follows the speed): tick it to compare, and edit a PID or a table of filters",
             {"open": "no filters of single channels"},
         )
     return made
+
+
+def own_filters(machine: Machine) -> PidSettings | None:
+    """Those of the machine file; None where it has none, or mixes its channels."""
+    return machine.reference and in_chains(machine.reference, None, machine)
 
 
 def in_chains(known: PidSettings, law: Law | None, machine: Machine) -> PidSettings | None:
@@ -317,7 +321,9 @@ def named_section(
         return b0 / a0, Section("lead-lag", zero_frequency=b0 / b1, pole_frequency=a0 / a1)
     if not a0 and a1:
         # K (1 + 1/(T_i s) + T_d s/(t s + 1)):   b0 = K/T_i, b1 = K + t b0, b2 = K (t + T_d)
-        b2, b1, b0, t = b2 / a1, b1 / a1, b0 / a1, a2 / a1
+        t = a2 / a1
+        b2, b1 = b2 / a1, b1 / a1
+        b0 = b0 / a1
         gain = b1 - t * b0
         rate = b2 / gain - t if gain and t > 0 else 0.0
         times: dict[str, Any] = {}
@@ -449,7 +455,7 @@ def show_controllers(
     """
     machine, plants, bending = _bench(project)
     names = project.names("controllers")
-    own = MACHINE if machine.reference is not None else "a PID to start from"
+    own = MACHINE if own_filters(machine) else "a PID to start from"
     compared = [blocks.field(f"with.{name}", name, False, "check") for name in (_OPENED, *names)]
     compared[0]["heading"] = "Compare, dashed"
     points = ["every point", *(plant.point.label for plant in plants)]
