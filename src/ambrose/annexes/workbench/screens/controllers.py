@@ -704,7 +704,7 @@ def _bode(
             _hush(picture, quiet)
             key = f"{part}-{c}"
             what = "Controller" if of == "controller" else "Open loop"
-            title = f"{what} {', '.join(map(theme.axis_name, channel.names))}: {words}{place}"
+            title = f"{what} of {', '.join(map(theme.axis_name, channel.names))}: {words}{place}"
             drawn = drawing(picture, wide, key)
             handles = list(_handles(c, channel, part, drawn, T)) if curves else []
             drawn_text = "".join(drawn.text(title))
