@@ -115,12 +115,19 @@ export function chains(block, act) {
 export function handle(spec, step) {
   const dot = button("", () => {}, { className: "handle", ariaLabel: spec.label, title: spec.label });
   const put = (target, x, y) => Object.assign(target.style, { left: `${x}px`, top: `${y}px` });
-  const turn = (from, dx, dy, again) => held.edit((made) => {
+  const part = (made) => {
     const channel = made.channel[spec.channel];
-    const part = spec.row < 0 ? channel : channel.section[spec.row];
+    return spec.row < 0 ? channel : channel?.section?.[spec.row];
+  };
+  const turn = (from, dx, dy, again) => {
+    // of a row that went while the figure was still that of before
+    if (!spec.terms.every(([key]) => part(from)?.[key] !== undefined)) return;
     const [kx, ky, angle] = [10 ** (dx / step[0]), 10 ** (-dy / step[1]), (-dy / step[1]) * (Math.PI / 180)];
-    for (const [key, way, power] of spec.terms) part[key] = WAYS[way](part[key], kx, ky, power, angle);
-  }, from, again);
+    held.edit((made) => {
+      for (const [key, way, power] of spec.terms)
+        part(made)[key] = WAYS[way](part(made)[key], kx, ky, power, angle);
+    }, from, again);
+  };
   put(dot, spec.x, spec.y);
   dot.addEventListener("pointerdown", (event) => {
     event.preventDefault();
