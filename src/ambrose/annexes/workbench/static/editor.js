@@ -142,12 +142,10 @@ export function handle(spec, step) {
       // at once, also on a figure that was drawn anew meanwhile
       if (document.activeElement.className === "handle") put(document.activeElement, spec.x + dx, spec.y + dy);
     };
-    const end = () => {
-      window.removeEventListener("pointermove", move);
-      for (const name of ["pointerup", "pointercancel"]) window.removeEventListener(name, end);
-    };
-    window.addEventListener("pointermove", move);
-    for (const name of ["pointerup", "pointercancel"]) window.addEventListener(name, end);
+    const end = new AbortController();
+    window.addEventListener("pointermove", move, { signal: end.signal });
+    for (const name of ["pointerup", "pointercancel"])
+      window.addEventListener(name, () => end.abort(), { signal: end.signal });
   });
   dot.addEventListener("keydown", (event) => {
     held.keys(event);
