@@ -11,8 +11,10 @@ import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import plotly.graph_objects as go
 import pytest
 
 from ambrose import __version__
@@ -21,6 +23,7 @@ from ambrose.judge.checks import Check, Checks, Curve, Verification
 from ambrose.machine.machine import Machine
 from ambrose.registry import registered, resolve
 from ambrose.report import page as document, tables
+from ambrose.report.figures.motion import add_controls
 from ambrose.report.page import Cell, Figure, Page, Section, Subject, Table, Verdict
 from ambrose.report.verification import verification_page
 from needs import CHROMIUM, needs
@@ -221,6 +224,39 @@ def test_the_page_counts_as_loaded_when_its_figures_stand(source: str, tmp_path:
     assert "Being drawn" not in done.stdout
     places = re.findall(r'id="figure-\d+"', done.stdout)
     assert len(places) == done.stdout.count('class="plot-container plotly"') > 0
+
+
+@needs("browser")
+def test_an_animation_is_paused_without_a_mistake_in_the_console(
+    browser: Any, machine: Machine, tmp_path: Path
+) -> None:
+    """plotly rejects the promise of the frames that a click ends, without a reason."""
+    names = [f"{i}" for i in range(40)]
+    picture = go.Figure(
+        data=[go.Scatter(x=[0, 1], y=[0, 1])],
+        layout={"height": 300},
+        frames=[go.Frame(name=name, data=[go.Scatter(y=[0, i])]) for i, name in enumerate(names)],
+    )
+    add_controls(picture, names, names, 60.0, rounds=9, below=40, left=0.3, margin=90, growth=60)
+    page = Page("Motion", machine, (Section("Motion", "", (Figure("A line", picture),)),))
+    path = tmp_path / "motion.html"
+    path.write_text(document.render(page), "utf-8")
+    opened, mistakes = browser.new_page(), list[str]()
+    opened.on("pageerror", lambda error: mistakes.append(str(error)))
+    opened.goto(path.as_uri())
+    moving = "document.querySelector('.plot .scatterlayer path.js-line').getAttribute('d')"
+    drawn = opened.evaluate(moving)
+    opened.locator(".updatemenu-button", has_text="play").click()
+    opened.wait_for_function(f"(was) => {moving} !== was", arg=drawn)
+    opened.locator(".updatemenu-button", has_text="pause").click()
+    # it stands still, and any other mistake is told, after all that was told before
+    still = opened.evaluate(moving)
+    later = f"new Promise((done) => setTimeout(() => done({moving}), 200))"
+    assert opened.evaluate(later) == still
+    with opened.expect_event("pageerror") as told:
+        opened.evaluate("void Promise.reject(new Error('another'))")
+    assert mistakes == [str(told.value)] == ["another"]
+    opened.close()
 
 
 def test_written_in_one_step(

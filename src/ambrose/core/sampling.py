@@ -212,7 +212,7 @@ def _matched(system: StateSpace, dt: float, prewarp: float | None) -> StateSpace
     z = np.exp(1j * omega * dt)
     for i in range(m):
         # Channel i alone: the states between its input and its output.
-        inner_states = _between(system, i)
+        inner_states = between(system, i)
         A = system.A[np.ix_(inner_states, inner_states)]
         b = system.B[inner_states, i : i + 1]
         c = system.C[i : i + 1, inner_states]
@@ -260,7 +260,7 @@ def _matched(system: StateSpace, dt: float, prewarp: float | None) -> StateSpace
     return StateSpace(sampled.A, sampled.B, C, D, system.inputs, system.outputs, dt)
 
 
-def _between(system: StateSpace, i: int) -> np.ndarray:
+def between(system: StateSpace, i: int) -> np.ndarray:
     """The states that input i drives, directly or through others, and that output i sees."""
     # Links of one step or none; squared, of 2, 4, ... steps, up to n.
     linked = (system.A != 0) | np.eye(system.n_states, dtype=bool)

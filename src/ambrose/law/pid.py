@@ -41,7 +41,12 @@ from ambrose.model.static_load import magnet_coefficients
 
 
 DERIVATIVE_FILTER = 0.1  # time constant over the derivative's, where none is stated
-_UNITS = {"time": (1e3, "ms"), "frequency": (0.5 / np.pi, "Hz"), "phase": (180 / np.pi, "deg")}
+# of a section's numbers by a part of their keys: factor from SI, unit
+SECTION_UNITS = {
+    "time": (1e3, "ms"),
+    "frequency": (0.5 / np.pi, "Hz"),
+    "phase": (180 / np.pi, "deg"),
+}
 
 
 def pid(
@@ -176,7 +181,7 @@ def section_text(section: Section, numbers: Mapping[str, Any] | None = None) -> 
 
 def _told(key: str, value: Any) -> str:
     """A parameter with its unit: times in ms, frequencies in Hz, phases in degrees."""
-    scale, unit = next((pair for part, pair in _UNITS.items() if part in key), (1.0, ""))
+    scale, unit = next((pair for part, pair in SECTION_UNITS.items() if part in key), (1.0, ""))
     numbers = value if isinstance(value, tuple) else [value]
     values = " ".join(f"{scale * number:.4g}" for number in numbers)
     return f"{key.replace('_', ' ')} {values} {unit}".rstrip()

@@ -3,6 +3,7 @@ browsers, a server that is killed. With AMBROSE_PICTURES, a folder, the screens 
 """
 
 import json
+import math
 import os
 import re
 import signal
@@ -36,6 +37,8 @@ MACHINE = Path(__file__).parents[3] / "benchmarks" / "snapshot_files" / "small-r
 HOSTILE = "<img src=x onerror=document.title=1></svg><script>document.title=2</script>"
 PICTURES = os.environ.get("AMBROSE_PICTURES")
 FACTS = "document.querySelector('.facts').textContent"
+# the figure whose words begin so, as it is drawn
+DRAWN = """(words) => document.querySelector(`svg[aria-label^="${words}" i]`)?.outerHTML"""
 
 
 class Process:
@@ -225,9 +228,9 @@ def test_a_record_a_wrong_value_and_a_controller_by_keyboard(tour, server, folde
     # turn the PID by keyboard, keep what comes
     go(page, "controllers")
     page.wait_for_selector("figure svg")
-    was = page.locator("figure svg path").nth(40).get_attribute("d"), page.content()
-    page.locator("input[type=range]").first.press("ArrowRight")
-    until(page, "(was) => document.documentElement.outerHTML !== was", arg=was[1])
+    was = page.evaluate(DRAWN, "sensitivity")
+    page.locator(".handle").first.press("ArrowUp")
+    until(page, f"(was) => ({DRAWN})('sensitivity') !== was", arg=was)
     page.locator("[name=name]").fill("mine")
     page.get_by_role("button", name="Save as controller").click()
     mine = folder / "controllers" / "mine.json"  # the note may be followed by another one
@@ -355,7 +358,7 @@ def _follow(chromium, server, folder, brief):
 LATE = """async ([action, say]) => {
   const own = window.fetch;
   const form = (await (await own("/api/screens/controllers", { method: "POST", body: "{}" })).json())
-    .blocks.find((block) => block.key === "sliders");
+    .blocks.find((block) => block.key === "bench");
   window.fetch = async (path, ...more) => {
     const answer = await own(path, ...more);
     if (!path.endsWith(action)) return answer;
@@ -364,14 +367,14 @@ LATE = """async ([action, say]) => {
     told.blocks.unshift({ ...form, hint: say }); // as where a controller was written meanwhile
     return new Response(JSON.stringify(told));
   };
-  const slider = document.querySelector("input[type=range]");
-  slider.value = Number(slider.value) + 0.02 * (slider.max - slider.min);
-  slider.dispatchEvent(new Event("input"));
+  const gain = document.querySelector("[name='channel.0.gain']");
+  gain.value = 1.02 * Number(gain.value);
+  gain.dispatchEvent(new Event("change"));
 }"""
 
 
 def test_a_name_that_is_typed_while_an_answer_is_late_stays(chromium, server):
-    """The answer to a slider draws the whole form anew, once the name is written."""
+    """The answer to a number draws the whole form anew, once the name is written."""
     page = new_page(chromium)
     page.goto(server.address() + "#controllers")
     page.wait_for_selector("figure svg")
@@ -379,13 +382,13 @@ def test_a_name_that_is_typed_while_an_answer_is_late_stays(chromium, server):
     name = page.locator("[name=name]")
     name.fill("a-name-of-mine")
     name.evaluate("(e) => e.setSelectionRange(2, 6)")
-    at = page.locator("input[type=range]").first.input_value()
+    at = page.locator("[name='channel.0.gain']").input_value()
     page.evaluate("window.typed = true")
     until(page, "document.body.textContent.includes('as it is now')")
     assert name.input_value() == "a-name-of-mine"
     caret = "(e) => [document.activeElement === e, e.selectionStart, e.selectionEnd]"
     assert name.evaluate(caret) == [True, 2, 6]
-    assert page.locator("input[type=range]").first.input_value() == at
+    assert page.locator("[name='channel.0.gain']").input_value() == at
     assert page.mistakes == []
     page.context.close()
 
@@ -448,10 +451,11 @@ def test_every_screen_says_where_one_is_and_its_verdict_first(tour, server, chro
 
 
 @pytest.mark.parametrize("width", [1400, 900, 400])
-def test_curves_stay_in_sight_of_their_sliders(tour, server, chromium, width):
+def test_curves_stay_in_sight_of_what_turns_them(tour, server, chromium, width):
     page = new_page(chromium, width)
     seen = "([kind]) => { const box = document.querySelector(kind).getBoundingClientRect();"
     seen += " return box.top >= 0 && box.bottom <= innerHeight; }"
+    turned = {"controllers": "[name='channel.0.gain']", "live": "input[type=range]"}
     for screen, drawn in (("controllers", "figure svg"), ("live", "canvas")):
         page.goto(server.address() + f"#{screen}")
         page.wait_for_selector(drawn)
@@ -460,9 +464,9 @@ def test_curves_stay_in_sight_of_their_sliders(tour, server, chromium, width):
             " scrollTo(0, figure.getBoundingClientRect().top + scrollY - 10); }",
             [drawn],
         )
-        assert page.evaluate(seen, ["input[type=range]"])
+        assert page.evaluate(seen, [turned[screen]])
         figure = page.locator(drawn).first.bounding_box()
-        slider = page.locator("input[type=range]").first.bounding_box()
+        slider = page.locator(turned[screen]).first.bounding_box()
         apart = (
             slider["x"] + slider["width"] <= figure["x"]
             or figure["x"] + figure["width"] <= slider["x"]
@@ -472,16 +476,83 @@ def test_curves_stay_in_sight_of_their_sliders(tour, server, chromium, width):
     page.context.close()
 
 
-def test_a_check_does_not_move_the_sliders(tour, server, chromium):
+def test_a_check_does_not_move_the_rows(tour, server, chromium):
     """Its tables came above them."""
     page = new_page(chromium)
     page.goto(server.address() + "#controllers")
     page.wait_for_selector("figure svg")
-    slider = page.locator("input[type=range]").first
-    before = slider.bounding_box(), slider.input_value()
+    gain = page.locator("[name='channel.0.gain']")
+    check = page.get_by_role("button", name="Check on the full plant")
+    check.scroll_into_view_if_needed()
+    before = gain.bounding_box(), gain.input_value()
+    check.click()
+    page.wait_for_selector("h2:has-text('Full plant:')")
+    assert (gain.bounding_box(), gain.input_value()) == before
+    page.context.close()
+
+
+def test_a_notch_is_dragged_undone_saved_and_judged(server, chromium, folder, request):
+    """The row, the handle under the hand and the sensitivity follow; undo brings back."""
+    page = new_page(chromium)
+    page.goto(server.address() + "#controllers")
+    page.wait_for_selector("figure svg")
+    page.get_by_label("Add a filter to").first.select_option("notch")
+    handle = page.get_by_role("button", name=re.compile("^notch .*: centre and depth")).first
+    handle.wait_for()
+    row = page.locator("section:has(> .buttons > b:text-matches('^notch'))").last
+    numbers = [row.locator(f"[name$={key}]") for key in ("zero_frequency", "zero_damping")]
+
+    def values():
+        return [float(number.input_value()) for number in numbers]
+
+    began, drawn = values(), page.evaluate(DRAWN, "sensitivity")
+    handle.scroll_into_view_if_needed()
+    box = handle.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for share in (0.2, 0.6, 1.0):
+        page.mouse.move(x + 30 * share, y + 12 * share)
+    page.mouse.up()
+    until(page, f"(was) => ({DRAWN})('sensitivity') !== was", arg=drawn)
+    frequency, damping = values()
+    assert frequency > 1.05 * began[0] and damping < 0.98 * began[1]
+    # drawn anew, it is where the hand left it; its words say the row's frequency
+    until(
+        page,
+        "(hertz) => [...document.querySelectorAll('.handle')].some((e) =>"
+        " e.ariaLabel.startsWith('notch') && e.ariaLabel.endsWith(hertz))",
+        arg=f" {frequency:.4g} Hz",
+    )
+    box = handle.bounding_box()
+    assert abs(box["x"] + box["width"] / 2 - x - 30) < 3
+    handle.press("ArrowRight")
+    assert handle.evaluate("(e) => document.activeElement.ariaLabel.startsWith('notch')")
+    assert values()[0] > frequency
+    for _ in range(2):  # the key, and the drag as one
+        page.get_by_role("button", name="Undo", exact=True).click()
+    assert values() == began
+    until(page, f"(was) => ({DRAWN})('sensitivity') === was", arg=drawn)
+    page.get_by_role("button", name="Redo", exact=True).click()
+    assert values() == [frequency, damping]
+    # what is kept is what is drawn
+    page.locator("[name=name]").fill("notched")
+    page.get_by_role("button", name="Save as controller").click()
+    file = folder / "controllers" / "notched.json"
+    eventually(file.exists)
+    request.addfinalizer(file.unlink)
+    section = json.loads(file.read_text())["filters"]["channel"][0]["section"][-1]
+    assert section["zero_frequency"] / (2 * math.pi) == pytest.approx(frequency, rel=1e-6)
     page.get_by_role("button", name="Check on the full plant").click()
     page.wait_for_selector("h2:has-text('Full plant:')")
-    assert (slider.bounding_box(), slider.input_value()) == before
+    # one that does not hold the rotor: said at once, and nothing of the stable one is left
+    gain = page.locator("[name='channel.0.gain']")
+    gain.fill("0.001")
+    gain.press("Tab")
+    page.wait_for_selector("p.bad:has-text('FAILED: the loop is unstable at')")
+    until(page, f"() => !({DRAWN})('sensitivity') && Boolean(({DRAWN})('open loop'))")
+    assert page.locator("h2:has-text('Full plant:')").count() == 0
+    assert page.mistakes == []
     page.context.close()
 
 
@@ -570,7 +641,7 @@ FILL = """() => {
   const last = [...document.querySelectorAll("main [type=text], main button")].pop();
   last?.focus();
   last?.setSelectionRange?.(3, 5);
-  for (const e of document.querySelectorAll("main .panel")) e.dataset.old = "";
+  for (const e of document.querySelectorAll("main .panel:not(:has(.chains))")) e.dataset.old = "";
 }"""
 FOUND = """() => {
   const [all, held] = [(what) => [...document.querySelectorAll(`main ${what}`)], document.activeElement];
@@ -759,13 +830,12 @@ def test_a_job_that_ends_while_one_types_changes_nothing_but_what_it_made(
     page.clock.install()
     page.goto(server.address() + "#controllers")
     page.wait_for_selector("figure svg")
-    slider, name = page.locator("input[type=range]").first, page.locator("[name=name]")
-    for _ in range(40):
-        slider.press("ArrowRight")
-    page.clock.run_for(200)  # a slider asks ten times a second at most
+    gain, name = page.locator("[name='channel.0.gain']"), page.locator("[name=name]")
+    gain.fill(str(1.02 * float(gain.input_value())))
+    gain.press("Tab")
     page.get_by_role("button", name="Check on the full plant").click()
     until(page, "document.querySelector('#note').textContent.includes('on the full plant')")
-    turned = "() => ({ at: document.querySelector('input[type=range]').value,"
+    turned = "() => ({ at: document.querySelector('[name=\"channel.0.gain\"]').value,"
     turned += " peaks: document.querySelector('td.pass, td.fail').closest('tr').textContent,"
     turned += " said: document.querySelector('#note').textContent })"
     before = page.evaluate(turned)

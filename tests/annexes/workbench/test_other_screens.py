@@ -16,6 +16,7 @@ import ambrose as amb
 from ambrose.annexes.workbench.blocks import Refusal
 from ambrose.annexes.workbench.project import Project, begin
 from ambrose.annexes.workbench.screens import OWN, TITLES, answer
+from ambrose.annexes.workbench.screens.machine import run_fields
 from ambrose.machine.description import OperatingPoint
 from ambrose.record.files import read_record, write_record
 from ambrose.record.record import Record
@@ -186,3 +187,15 @@ def test_the_controller_of_a_retuning_joins_the_others(project):
     told, _ = ask(project, "retuning", "take")
     assert told["told"] == "controllers/retuned.json is written."
     assert project.path("controllers", "retuned.json").read_text() == '{"new": 1}'
+
+
+def test_the_controller_that_ran_is_found_whatever_its_form(tmp_path):
+    """A table of filters ran as vendor.csv, and pid.json was proposed."""
+    folder = Project(tmp_path)
+    begin(folder, "two-disc-rotor")
+    for name in ("pid.json", "vendor.csv"):
+        folder.path("controllers", name).write_text("{}")
+    folder.path("records", "live-vendor-20260101-120000.h5").write_bytes(b"")
+    record, controller = run_fields(folder)
+    assert record["value"] == "live-vendor-20260101-120000.h5"
+    assert controller["value"] == "vendor.csv"

@@ -269,41 +269,68 @@ def test_modes_near_the_running_speeds_are_damped_as_the_separation_margin_asks(
         assert found == pytest.approx(part, rel=1e-6, abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("stated", "worst", "other", "taken"),
-    [
-        (False, 2.0, 0.9, "other"),
-        (False, 2.0, 1.1, "found"),
-        (False, 0.8, None, "found"),
-        (True, 2.0, None, "found"),
-    ],
-)
-def test_a_machine_runs_between_its_turning_points_where_nobody_says_so(
-    monkeypatch, stated, worst, other, taken
-):
-    """The modes near the speeds that `verify` takes it to run at are damped as well, where that
-    misses no other requirement.
-    """
+def job_of(stated):
+    """A job that asks what `verify` asks; stated: whether the file says where the machine runs."""
     point = MACHINE.operation.points[0]
     speeds = (point.speed, 1400.0) if stated else None
     wanted = replace(MACHINE.requirements, running_speeds=speeds)
     machine = replace(MACHINE, requirements=wanted)
     plants = [assemble(machine, p) for p in machine.operation.points]
     job = prepare(plants, START, RUNS, 12, "free", 1, None, 60.0, None)
-    own = [p.speed for p in machine.operation.points if p.speed > 0]
-    asked = []
+    job.before = []
+    return job
+
+
+def test_a_machine_runs_between_its_turning_points_where_nobody_says_so():
+    """The modes near the speeds that `verify` takes it to run at are damped as well."""
+    for stated in (True, False):
+        job = job_of(stated)
+        plain, own = job.aims, [p.speed for p in MACHINE.operation.points if p.speed > 0]
+        tuning._while_running(job)
+        if stated:
+            assert job.aims is plain and job.before == []
+        else:
+            assert job.aims == replace(plain, running=(min(own), max(own)))
+            assert job.before == [plain]
+    alone = replace(job, aims=plain, before=None)
+    tuning._while_running(alone)
+    assert alone.aims is plain
+
+
+@pytest.mark.parametrize(
+    ("without", "grows", "kept"),
+    [(0.8, True, False), (1.2, True, True), (1.2, False, False), (0.8, False, False)],
+)
+def test_damping_while_running_goes_where_it_alone_keeps_all_from_being_met(
+    monkeypatch, without, grows, kept
+):
+    """Where all is missed without it, too, more states come first, and it is kept."""
+    job = job_of(stated=False)
+    plain = job.aims
+    tuning._while_running(job)
+    asked, larger = job.aims, object()
+    monkeypatch.setattr(
+        tuning, "_best", lambda job, rounds: SimpleNamespace(worst=without, law=START)
+    )
+    monkeypatch.setattr(tuning, "_grown", lambda *_: larger if grows else None)
+    monkeypatch.setattr(tuning, "_add_members", lambda job, law: law)
+    law = tuning._more(job, SimpleNamespace(worst=1.3, law=START), [])
+    assert law is (larger if kept else START)
+    assert (job.aims, job.before) == ((asked, [plain]) if kept else (plain, None))
+
+
+@pytest.mark.parametrize(("damped", "worst"), [(False, 2.0), (False, 0.9), (True, None)])
+def test_the_decrement_of_the_first_forward_mode_is_asked_of_a_law_that_misses_it(
+    monkeypatch, damped, worst
+):
+    job = job_of(stated=True)
+    plain = job.aims
+    light = 0.5 * plain.damped_to if damped else 4 * plain.damped_to
+    monkeypatch.setattr(tuning, "_light", lambda *_: light)
     monkeypatch.setattr(tuning, "_judged", lambda *_: SimpleNamespace(worst=worst))
-
-    def again(job, law, structure, again):
-        asked.append(job.aims.running)
-        return SimpleNamespace(gamma=other)
-
-    monkeypatch.setattr(tuning, "tuned", again)
-    found = SimpleNamespace(gamma=0.7, controller=START, filters=None)
-    monkeypatch.setattr(tuning, "_light", lambda *_: 0.0)
-    result = tuning._as_judged(job, found, "free")
-    assert (result is found) == (taken == "found")
-    assert asked == ([] if other is None else [(min(own), max(own))])
+    assert tuning._as_judged(job, START) == (worst == 2.0)
+    assert job.before == ([] if damped else [plain])
+    assert (job.aims.damped_to > 3 * plain.damped_to) != damped
 
 
 def test_poles_at_the_fence_are_pushed_back():
@@ -459,7 +486,6 @@ def test_more_freedom_never_gives_less(monkeypatch, gammas):
     relaxed = replace(MACHINE.requirements, control_gain=1e9)
     machine = replace(MACHINE, requirements=relaxed)
     plants = [assemble(machine, point) for point in machine.operation.envelope][:1]
-    monkeypatch.setattr(tuning, "_as_judged", lambda job, found, structure: found)
     asked = []
 
     def searched(job, law, structure, **more):
@@ -674,7 +700,7 @@ def test_what_is_said_of_it_is_what_verification_finds(tuned):
 
 
 def test_rounds_are_told_and_worst_members_join(tuned):
-    assert [row["iteration"] for row in tuned.history] == [1.0, 2.0]
+    assert [row["iteration"] for row in tuned.history] == [1.0, 2.0, 3.0]  # 3: more is asked
     assert tuned.history[1]["models"] > len(PLANTS[::2])
     said = []
     before = tune_controller(
@@ -805,7 +831,9 @@ def test_the_turboexpander_holds_from_standstill_to_full_speed(rate, all_rounds)
     """
     result = amb.design("turboexpander", "tuned", rate=rate)
     verdict = amb.verify("turboexpander", result, rate=rate, tolerances=False)
-    assert len(verdict.points) == 6 and verdict.passed
+    # without a rate it cannot be told whether the one that rig and export assume would do
+    missed = {check.name for point in verdict.points for check in point.checks if not check.passed}
+    assert len(verdict.points) == 6 and (verdict.passed or missed == {"timing.assumed"} and not rate)
     peaks = [point["sensitivity.output.max"].value for point in verdict.points]
     assert max(peaks) < (2.5 if rate is None else 2.75)
 

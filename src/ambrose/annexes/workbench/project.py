@@ -105,7 +105,7 @@ def keep(project: Project, text: str) -> str:
 MACHINE = "machine.toml"
 # endings of what a folder of the project holds; the first one is written
 KINDS: dict[str, tuple[str, ...]] = {
-    "controllers": (".json",),
+    "controllers": (".json", ".csv", ".mat"),
     "machines": (".toml", ".csv", ".json"),
     "records": (".h5", ".csv", ".hdf5", ".mat", ".tdms", ".uff", ".unv", ".txt", ".toml"),
     "runs": (".h5",),

@@ -1,17 +1,20 @@
-"""Loci of the loops opened axis by axis, around the point -1 that they must go around."""
+"""Figures as SVG, and those that the workbench alone has: Bode figures of one part, loci around
+-1.
+"""
 
 from __future__ import annotations
 
 import html
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 
 from ambrose.report import theme
+from ambrose.report.figures.bode import phase
 from ambrose.report.page import least_width
 
 # A figure as SVG, drawn for a width: for pages without the drawing library, such as the
@@ -41,7 +44,7 @@ _LETTER = 0.55  # mean width of a letter over its height
 _WIDE_LETTER = 0.58  # of words that may not be cut off
 _ROW = 18  # [px] of the legend
 _SOME = 100  # points of a line that goes to and fro; from here on they are thinned
-_MANY = 2000  # points of a line over x; from here on they are thinned before they are drawn
+_MANY = 800  # points of a line over x; from here on they are thinned before they are drawn
 _TICK = 12  # [px], height of the numbers at the axes
 
 
@@ -51,13 +54,17 @@ def svg(figure: Any, width: int, label: str, key: str) -> str:
     figure: a plotly Figure; width [px], or what the figure needs at least; label: in words, for
     those who do not see it; key: a word of its own among the pictures of a screen.
     """
+    return "".join(drawing(figure, width, key).text(label))
+
+
+def drawing(figure: Any, width: int, key: str) -> Drawing:
+    """``svg`` before it is text, for who places something on it."""
     layout = figure.layout.to_plotly_json()
     traces = [trace.to_plotly_json() for trace in figure.data]
-    width = max(width, least_width(figure))
-    return "".join(_Drawing(layout, traces, width, key).text(label))
+    return Drawing(layout, traces, max(width, least_width(figure)), key)
 
 
-class _Drawing:
+class Drawing:
     """Where everything stands: margins, plot areas and scales, in px from the upper left corner."""
 
     def __init__(
@@ -111,15 +118,15 @@ class _Drawing:
 
     def _to_scale(self, name: str, other: str) -> None:
         """One unit is as long on both axes: the range that has room to spare is widened."""
-        one, two = self._unit(name), self._unit(other)
+        one, two = self.unit(name), self.unit(other)
         unit = min(one, two)
         for axis, had in ((self.axes[name], one), (self.axes[other], two)):
             low, high = axis["ends"]
             more = (high - low) * (had / unit - 1.0) / 2.0
             axis["ends"] = [low - more, high + more]
 
-    def _unit(self, name: str) -> float:
-        """px of one unit of an axis."""
+    def unit(self, name: str) -> float:
+        """px of one unit of an axis, of a logarithmic one of a decade."""
         axis = self.axes[name]
         start, end = axis["domain"]
         low, high = axis["ends"]
@@ -179,7 +186,7 @@ class _Drawing:
         pairs = [(str(t.get("xaxis", "x")), str(t.get("yaxis", "y"))) for t in self.traces]
         return [pair for pair in dict.fromkeys(pairs) if set(pair) <= set(self.axes)]
 
-    def _box(self, x: str, y: str) -> tuple[float, float, float, float]:
+    def box(self, x: str, y: str) -> tuple[float, float, float, float]:
         """Left, top, width and height of a plot area."""
         left, right = self.at(f"{x} domain", [0, 1])
         bottom, top = self.at(f"{y} domain", [0, 1])
@@ -187,7 +194,7 @@ class _Drawing:
 
     def _clips(self) -> Iterator[str]:
         for x, y in self._areas():
-            left, top, wide, tall = self._box(x, y)
+            left, top, wide, tall = self.box(x, y)
             yield (
                 f'<clipPath id="{self.key}-{x}{y}"><rect x="{left:.1f}" y="{top:.1f}" '
                 f'width="{wide:.1f}" height="{tall:.1f}"/></clipPath>'
@@ -195,7 +202,7 @@ class _Drawing:
 
     def _axes(self, x: str, y: str) -> Iterator[str]:
         """Grid, ticks, numbers and titles of a plot area."""
-        left, top, wide, tall = self._box(x, y)
+        left, top, wide, tall = self.box(x, y)
         bottom = top + tall
         for name in (x, y):
             axis = self.axes[name]
@@ -311,6 +318,8 @@ def _legend(
 
 
 def _numbers(values: Any) -> np.ndarray:
+    if isinstance(values, np.ndarray):
+        return values.astype(float)
     return np.array([np.nan if value is None else value for value in values], dtype=float)
 
 
@@ -460,10 +469,54 @@ def _words(
 _HEIGHT = 320  # [px]
 _VIEW = ((-3.2, 1.2), (-1.8, 1.8))
 _NEAR = 6.0  # from zero, beyond which nothing is seen
+_BODE_DECADES, _LATE = 6, -720.0  # that a magnitude shows, and the lowest phase [degrees]
 
 
-def nyquist_figure(loci: Sequence[tuple[str, np.ndarray]], peak: float | None = None) -> Any:
-    """Loci of several loops in the plane, near -1.
+def bode_figure(
+    curves: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    style: Mapping[str, theme.Style],
+    part: str,
+    unit: str = "",
+) -> Any:
+    """One part, "size" or "phase", of gains over frequency: omega (w,) [rad/s] and gain (w,) of
+    every label. Returns a plotly Figure.
+    """
+    figure = theme.subplots(rows=1, cols=1)
+    place = {"row": 1, "col": 1}
+    value = np.abs if part == "size" else phase
+    drawn = {label: value(gain) for label, (_, gain) in curves.items()}
+    top = max(float(y.max()) for y in drawn.values())
+    factor, shown_unit = theme.scale(unit, top) if part == "size" else (1.0, "°")
+    for label, y in drawn.items():
+        x, line = curves[label][0] / (2 * np.pi), style[label].line
+        theme.scatter(figure, place, x, factor * y, label, shown=True, line=line)
+    ends = [curves[label][0][[0, -1]] / (2 * np.pi) for label in curves]
+    span = [min(low for low, _ in ends), max(high for _, high in ends)]
+    # where a loop may not be both
+    level = [-180.0] * 2 if part == "phase" else [1.0] * 2
+    if not unit:
+        theme.guide(figure, place, span, level, color=theme.MUTED, width=1.2, dash="2px,3px")
+    theme.dress(figure, _HEIGHT - 80, legend=len(curves) > 1)
+    figure.update_xaxes(title_text="Frequency [Hz]", **theme.decades(*span))
+    least = min(float(y.min()) for y in drawn.values())
+    if part == "size":
+        low = max(least / 1.3, 1.5 * top / 10**_BODE_DECADES)
+        figure.update_yaxes(**theme.decades(low * factor, 1.5 * top * factor))
+    else:
+        low, high = max(90 * np.floor(least / 90), _LATE), max(90 * np.ceil(top / 90), 0.0)
+        step = 90 if high - low <= 450 else 180
+        figure.update_yaxes(range=[low - 8, high + 8], dtick=step)
+    words = "Magnitude" if part == "size" else "Phase"
+    figure.update_yaxes(title_text=f"{words} [{shown_unit}]" if shown_unit else words)
+    return figure
+
+
+def nyquist_figure(
+    loci: Sequence[tuple[str, np.ndarray]],
+    peak: float | None = None,
+    style: Mapping[str, theme.Style] | None = None,
+) -> Any:
+    """Loci of several loops in the plane, near -1; style: of the labels, else by their order.
 
     loci: label and L (w, a), a curve for each axis in the look of the label. peak: a sensitivity
     that is not to be exceeded; |1/(1 + L)| = peak is the circle of radius 1/peak around -1. Returns
@@ -471,7 +524,7 @@ def nyquist_figure(loci: Sequence[tuple[str, np.ndarray]], peak: float | None = 
     """
     figure = theme.subplots(rows=1, cols=1)
     place = {"row": 1, "col": 1}
-    style = theme.styles([label for label, _ in loci])
+    style = theme.styles([label for label, _ in loci]) if style is None else style
     for label, values in loci:
         for i in range(values.shape[1]):
             # what lies outside the view, and so do the points around it, is no part of the picture

@@ -63,6 +63,8 @@ class Job:
     narrowed: bool = False  # the unknowns are those of the structure that was asked for
     extra: list[float] = field(default_factory=list)  # frequencies of true peaks [rad/s]
     measured: MeasuredPlants = ()
+    # the aims before each time that what `verify` asks beyond them joined (None: it never does)
+    before: list[Aims] | None = None
     members: set[tuple[str, tuple[tuple[str, float], ...]]] = field(default_factory=set)
 
 

@@ -208,8 +208,8 @@ def run_fields(project: Project) -> list[Block]:
     controllers = project.names("controllers")
     # the live rig writes the controller's name into the record's
     ran = _LIVE.fullmatch(newest)
-    named = f"{ran[1]}.json" if ran else ""
-    known = named if named in controllers else "pid.json"
+    alike = [name for name in controllers if ran and name.partition(".")[0] == ran[1]]
+    known = (*alike, "pid.json")[0]
     return [
         blocks.choice("record", "Record", records, newest),
         blocks.choice("controller", "Controller that ran", controllers, known),

@@ -1,6 +1,7 @@
 // Screens that the server describes (blocks.py): words, tables, pictures, forms, pages, each drawn here.
 import { ask, button, make, replace, say } from "/static/page.js";
 import { form, sameAs } from "/static/controls.js";
+import { chains, handle } from "/static/editor.js";
 
 const cells = (tag, list) => make("tr", {}, ...list.map((cell) =>
   make(tag, { className: cell.mark || "" }, cell.text ?? cell)));
@@ -13,7 +14,9 @@ const DRAW = {
     make("p", { className: "muted" }, block.note)),
   picture: (block) => {
     const svg = new DOMParser().parseFromString(block.svg, "image/svg+xml").documentElement;
-    return make("figure", { className: "wide", tabIndex: 0 }, document.importNode(svg, true),
+    const dots = (block.handles || []).map((spec) => handle(spec, block.step));
+    return make("figure", { className: "wide", tabIndex: 0 },
+      make("div", { className: "drawing" }, document.importNode(svg, true), ...dots),
       make("figcaption", {}, block.caption));
   },
   page: (block) => make("div", {}, make("a", { href: block.src, target: "_blank" }, "Open it alone"),
@@ -21,6 +24,7 @@ const DRAW = {
   link: (block) => make("a", { href: block.href, download: "" }, block.text),
   same: (block) => sameAs(block.lines),
   form,
+  chains,
 };
 
 export const screen = (name) => async (place) => {
@@ -45,8 +49,8 @@ export const screen = (name) => async (place) => {
   const typed = () => Object.assign({}, ...[...shown.values()].map(({ body }) => body.values?.()));
   // by: the block that asks, "" the page itself; one after the other; of what sliders ask for, only the newest
   const act = (by, action, values, live) => {
-    if (live && waiting) { waiting.values = values; return line; }
-    const mine = { values };
+    if (live && waiting?.action === action) { waiting.values = values; return line; }
+    const mine = { values, action };
     if (live) waiting = mine;
     line = line.then(async () => {
       if (waiting === mine) waiting = null;
@@ -79,8 +83,11 @@ export const screen = (name) => async (place) => {
     const text = JSON.stringify(block);
     const had = shown.get(block.key);
     const own = by === "*" || by === block.key;
+    if (had?.body.take) return had.body.take(block); // it keeps what is edited
     if (had?.text === text && !(own && had.hides)) return;
-    const body = DRAW[block.kind](block, (...asked) => act(block.key, ...asked));
+    // all: what it asks for is told of every form
+    const body = DRAW[block.kind](block, (action, values, live) =>
+      act(block.key, action, block.all ? { ...typed(), ...values } : values, live));
     const [whole, head] = block.folded ? ["details", "summary"] : ["section", "h2"];
     const title = make(head, { className: block.tone || "" }, block.title);
     const panel = make(whole, { className: block.half ? "panel half" : "panel" }, block.title && title, body);
