@@ -93,7 +93,8 @@ def to_common_statespace(system: SecondOrder, speed: float, scales: np.ndarray) 
     """
     check_finite(speed, "speed")
     s = check_shape(scales, "scales", "(n,)", n=system.n)
-    K, D, B = system.stiffness, system.damping + speed * system.gyroscopic, system.B
+    K, B = system.stiffness, system.B
+    D = system.damping + speed * system.gyroscopic
     if not np.array_equal(system.mass, np.eye(system.n)):
         try:
             inverse = np.linalg.inv(system.mass)
@@ -101,7 +102,8 @@ def to_common_statespace(system: SecondOrder, speed: float, scales: np.ndarray) 
             raise invalid(
                 "the mass matrix", "singular", "positive definite", "check masses and added mass"
             ) from error
-        K, D, B = inverse @ K, inverse @ D, inverse @ B
+        K, B = inverse @ K, inverse @ B
+        D = inverse @ D
     return _first_order(system, -K, -D, B, system.C, system.Cv, s)
 
 

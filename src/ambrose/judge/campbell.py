@@ -651,9 +651,10 @@ def follow(
                 return
         share = 0.5 if cross is None else cross
         middle = low + share * (high - low)
-        first, halfway, last = _alike(at(low), at(middle), at(high))
-        halfway = _paired(first, halfway)
-        start, centre, end = first.poles, halfway.poles, _paired(halfway, last).poles
+        modes_there = _alike(at(low), at(middle), at(high))
+        halfway = _paired(*modes_there[:2])
+        start, centre = modes_there[0].poles, halfway.poles
+        end = _paired(halfway, modes_there[2]).poles
         highest = max(highest, float(centre.real.max()))
         # off the chord from start to end, and no farther than a parabola or a corner rises
         bend = np.abs((centre - (1 - share) * start - share * end).real)
@@ -775,8 +776,9 @@ def _crossing(start: _Modes, end: _Modes, highest: float) -> float | None:
     # to first order two poles that meet part by the square root of m_ij m_ji, m = w (A' - A) v, of
     # those that cross any
     some = np.flatnonzero(inside.any(axis=0))
-    light, share, inside = light[some], share[np.ix_(some, some)], inside[np.ix_(some, some)]
-    before, after = before[np.ix_(some, some)], after[np.ix_(some, some)]
+    light, both = light[some], np.ix_(some, some)
+    share, inside = share[both], inside[both]
+    before, after = before[both], after[both]
     change = end.A - start.A
     coupling = np.maximum(
         share * start.coupling(light, change), (1 - share) * end.coupling(light, change)

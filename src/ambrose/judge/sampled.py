@@ -451,7 +451,8 @@ def _on_full_plant(
     both are known.
     """
     waiting = sorted(range(len(points)), key=lambda i: (i >= first, -abscissa[i]))
-    done, rise, now = 0, 0.0, waiting[:first]
+    now = waiting[:first]
+    done, rise = 0, 0.0
     while now:
         for i, row in zip(now, full.at(points[now]), strict=True):
             poles[i], outermost = row, float(row.real.max())
