@@ -85,14 +85,27 @@ def errors(done, true):
     return errors
 
 
-def plant_error(done, true):
-    """Of the identified plant beside the true one, relative, (w,) at frequencies (w,) [Hz]."""
+def plants(done, true):
+    """The identified plant and the true one (w, a, a) at frequencies (w,) [Hz]."""
     hertz = np.geomspace(5, 1500, 200)
     plant = assemble(done.machine)
     inputs, outputs = ([f"{kind}_{axis}" for axis in plant.axes] for kind in "uy")
     held = c2d(select(plant.system, inputs, outputs), 1 / true.rate)
-    G, own = frequency_response(held, 2 * np.pi * hertz).values, true.plant(hertz)
+    return hertz, frequency_response(held, 2 * np.pi * hertz).values, true.plant(hertz)
+
+
+def plant_error(done, true):
+    """Of the identified plant beside the true one, relative, (w,) at frequencies (w,) [Hz]."""
+    hertz, G, own = plants(done, true)
     return hertz, np.abs(G - own).max(axis=(1, 2)) / np.abs(own).max(axis=(1, 2))
+
+
+def loop_error(done, true, law):
+    """Of the sensitivity that the identified plant predicts, over the largest true one."""
+    hertz, G, own = plants(done, true)
+    K = true.controller(matrices(law, true.rate), hertz)
+    S, true_S = (np.linalg.inv(np.eye(G.shape[1]) + plant @ K) for plant in (G, own))
+    return np.abs(S - true_S).max() / np.abs(true_S).max()
 
 
 def test_a_rotor_is_found_with_its_magnets():
@@ -201,10 +214,13 @@ def test_derivatives_are_those_of_the_loop():
 @pytest.mark.parametrize("seed", range(3))
 def test_rotors_without_drawings(name, turning, seed):
     """None to four bending modes within the lines; K_i and K_s of eight axes and the plant."""
-    done, true, _, _ = found(name, turning, seed)
-    off = errors(done, true)
+    done, true, law, _ = found(name, turning, seed)
+    off, loop = errors(done, true), loop_error(done, true, law)
     hertz, apart = plant_error(done, true)
     modes = [f"{mode.frequency / (2 * np.pi):.4g}" for mode in done.machine.bending_modes]
     print(name, turning, seed, "largest error", max(map(abs, off.values())), "modes", modes)
     print("plant off: median", np.median(apart), "most", apart.max(), "at", hertz[apart.argmax()])
-    assert max(map(abs, off.values())) < 4 and np.median(apart) < 0.01
+    print("sensitivity off", loop)
+    # the loop hides where a turning rotor's undamped pole lies: beside it the plant is far off
+    assert max(map(abs, off.values())) < 4 and loop < 0.05
+    assert turning or np.median(apart) < 0.01
