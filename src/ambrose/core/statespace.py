@@ -539,7 +539,11 @@ def close(system: StateSpace, loop: np.ndarray) -> StateSpace:
     Raises NumericalFailure when I - D loop is singular (an algebraic loop).
     """
     loop = check_shape(loop, "loop", "(m, p)", m=len(system.inputs), p=len(system.outputs))
-    C, D = _solved_loop(system.C, system.D, loop, np.eye(len(loop)))
+    DL = system.D @ loop
+    check_loop(DL)
+    E = np.eye(len(DL)) - DL
+    # y = E^-1 (C x + D r)
+    C, D = np.linalg.solve(E, system.C), np.linalg.solve(E, system.D)
     BL = system.B @ loop
     return StateSpace(
         system.A + BL @ C, system.B + BL @ D, C, D, system.inputs, system.outputs, system.dt
@@ -611,40 +615,13 @@ def connect(
     rows = [total(name) if name in sums else signal(name, ("an input",)) for name in joined.inputs]
     mixing = np.array(rows).reshape(len(joined.inputs), len(sources))
     p = len(joined.outputs)
+    closed = close(joined, mixing[:, :p])
+    B, D = closed.B @ mixing[:, p:], closed.D @ mixing[:, p:]
     pick = np.array([signal(name, ()) for name in outputs]).reshape(len(outputs), len(sources))
     if set(sums) - used:
         raise InvalidInput(
             f"the sum {sorted(set(sums) - used)[0]!r} is not used: it is neither an input, an "
             "output nor a term"
         )
-
-    # u = L y + R r; of y those that feed an input, y = E^-1 (C x + D R r), E = I - D L
-    back = np.flatnonzero(mixing[:, :p].any(axis=0))
-    L, R = mixing[:, back], mixing[:, p:]
-    C, D = _solved_loop(joined.C[back], joined.D[back], L, R)
-    # u = L C x + (L D + R) r, with L of few rows
-    fed = np.flatnonzero(L.any(axis=1))
-    by_state, by_input = L[fed] @ C, L @ D + R
-    out_C, out_D = pick[:, :p] @ joined.C, pick[:, :p] @ joined.D
-    return StateSpace(
-        joined.A + joined.B[:, fed] @ by_state,
-        joined.B @ by_input,
-        out_C + out_D[:, fed] @ by_state,
-        out_D @ by_input + pick[:, p:],
-        list(inputs),
-        list(outputs),
-        joined.dt,
-    )
-
-
-@named_failure("the closed loop")
-def _solved_loop(
-    C: np.ndarray, D: np.ndarray, L: np.ndarray, R: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """y = C x + D u with u = L y + R r: y over x and over r. Raises NumericalFailure."""
-    DL = D @ L
-    if not DL.any():
-        return C, D @ R
-    check_loop(DL)
-    E = np.eye(len(DL)) - DL
-    return np.linalg.solve(E, C), np.linalg.solve(E, D @ R)
+    C, D = pick[:, :p] @ closed.C, pick[:, :p] @ D + pick[:, p:]
+    return StateSpace(closed.A, B, C, D, list(inputs), list(outputs), closed.dt)
