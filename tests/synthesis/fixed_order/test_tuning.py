@@ -833,7 +833,9 @@ def test_the_turboexpander_holds_from_standstill_to_full_speed(rate, all_rounds)
     verdict = amb.verify("turboexpander", result, rate=rate, tolerances=False)
     # without a rate it cannot be told whether the one that rig and export assume would do
     missed = {check.name for point in verdict.points for check in point.checks if not check.passed}
-    assert len(verdict.points) == 6 and (verdict.passed or missed == {"timing.assumed"} and not rate)
+    assert len(verdict.points) == 6 and (
+        verdict.passed or (missed == {"timing.assumed"} and not rate)
+    )
     peaks = [point["sensitivity.output.max"].value for point in verdict.points]
     assert max(peaks) < (2.5 if rate is None else 2.75)
 
