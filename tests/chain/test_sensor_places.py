@@ -215,12 +215,8 @@ def test_what_stands_wrong_is_named_by_the_sums_of_deflections():
     )
 
 
-# 1.68 of the limit at mode 3, 1.12 once the sensors that are named stand at the magnets
-UNSOLVED = pytest.param(16, marks=pytest.mark.xfail(reason="better, not met", strict=True))
-
-
 @pytest.mark.study
-@pytest.mark.parametrize("number", [*range(16), UNSOLVED, *range(17, 40)])
+@pytest.mark.parametrize("number", range(40))
 def test_forty_machines_are_designed_or_name_what_bars_them(number):
     row = outcome(number)
     print(*row[:-1], sep=" | ")
