@@ -442,6 +442,9 @@ def write(report: Page, path: str | Path) -> Path:
 # they are named, with the page that shows them.
 
 _TONES = {"pass": "1B7F4D", "fail": "A3341F"}
+# characters beside a text, of one at most that decides a column's width, and across a sheet
+_PAD, _LINE = 3, 45
+_ACROSS = 90
 
 
 def documents() -> ModuleType:
@@ -461,6 +464,7 @@ def document(page: Page, beside: str) -> bytes:
     Raises InvalidInput where python-docx is not installed.
     """
     paper = documents().Document()
+    from docx.oxml import OxmlElement
     from docx.shared import Mm, Pt, RGBColor
 
     about = paper.core_properties
@@ -479,7 +483,7 @@ def document(page: Page, beside: str) -> bytes:
         head.add_run(f" {page.brand.line}")
 
     def write_cell(place: Any, cell: Cell) -> None:
-        words = " ".join(filter(None, (cell.symbol, cell.text)))
+        words = "\N{NO-BREAK SPACE}".join(filter(None, (cell.symbol, cell.text)))
         run = place.paragraphs[0].add_run(words)
         if tone := _TONES.get(cell.mark):
             run.font.color.rgb = RGBColor.from_string(tone)
@@ -491,11 +495,28 @@ def document(page: Page, beside: str) -> bytes:
 
     def add_table(columns: Sequence[str], rows: Iterable[Sequence[Cell]]) -> None:
         grid = paper.add_table(rows=1, cols=len(columns), style="Table Grid")
+        grid.autofit = False
         for place, text in zip(grid.rows[0].cells, columns, strict=True):
             place.paragraphs[0].add_run(text).bold = True
         for row in rows:
             for place, cell in zip(grid.add_row().cells, row, strict=True):
                 write_cell(place, cell)
+        # Every column holds its longest word; what the sheet has beyond that goes to those whose
+        # longest text, up to a line, asks for more. Rows stay whole, and heads are repeated, where
+        # a page ends.
+        texts = [[place.text for place in column.cells] for column in grid.columns]
+        words = [_PAD + max(len(word) for t in column for word in t.split(" ")) for column in texts]
+        lines = [_PAD + min(_LINE, max(map(len, column))) for column in texts]
+        more = [max(0, line - word) + 0.1 for line, word in zip(lines, words, strict=True)]
+        spare = max(0, _ACROSS - sum(words)) / sum(more)
+        asked = [word + spare * part for word, part in zip(words, more, strict=True)]
+        for column, share in zip(grid.columns, asked, strict=True):
+            column.width = Mm(170 * share / sum(asked))
+            for place in column.cells:
+                place.width = column.width
+        for row in grid.rows:
+            row._tr.get_or_add_trPr().append(OxmlElement("w:cantSplit"))
+        grid.rows[0]._tr.get_or_add_trPr().append(OxmlElement("w:tblHeader"))
 
     def add_section(section: Section, number: int) -> int:
         for text in section.paragraphs:
