@@ -1115,18 +1115,32 @@ def _higher_modes(machine: Machine, rotor: Rotor) -> Iterator[str]:
     count = int((judged_bending(machine) <= corner).sum())
     modes: dict[str, list[str]] = {}
     for bearing, mode, frequency, at, measured in seen_modes(machine, count):
-        if mode == 1:
-            continue
-        what = ""
-        if abs(at) < _NODE or abs(measured) < _NODE:
-            what = f"a node at {'magnet' if abs(at) < _NODE else 'sensor'} {bearing}"
-        elif at * measured < 0:
-            what = f"magnet and sensor {bearing} move oppositely"
-        if what:
+        if mode > 1 and (what := _seen_at(bearing, at, measured)):
             modes.setdefault(what, []).append(f"{mode} ({frequency / HERTZ:.4g} Hz)")
     if modes:
         words = [f"{what} in mode {_some(names)}" for what, names in modes.items()]
         yield f"bending: {'; '.join(words)}: a design needs these modes in its model"
+
+
+def _seen_at(bearing: str, at: float, measured: float) -> str:
+    """What bars a mode at a bearing, "" for nothing; deflections as ``seen_modes`` has them."""
+    if abs(at) < _NODE or abs(measured) < _NODE:
+        return f"a node at {'magnet' if abs(at) < _NODE else 'sensor'} {bearing}"
+    return f"magnet and sensor {bearing} move oppositely" if at * measured < 0 else ""
+
+
+def free_mode_rows(machine: Machine, count: int) -> list[tuple[str, str, str]]:
+    """The lowest ``count`` bending modes of the free rotor at rest: number, frequency, and what
+    bars them at a bearing.
+    """
+    rows = dict[int, tuple[float, list[str]]]()
+    for bearing, mode, frequency, at, measured in seen_modes(machine, count):
+        told = rows.setdefault(mode, (frequency, []))[1]
+        told += [what] if (what := _seen_at(bearing, at, measured)) else []
+    return [
+        (str(mode), quantity(frequency, "rad/s"), "; ".join(told))
+        for mode, (frequency, told) in rows.items()
+    ]
 
 
 def _some(names: list[str]) -> str:

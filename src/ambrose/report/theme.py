@@ -178,7 +178,8 @@ class PlainFigure:
 
     def __init__(self) -> None:
         self.data: list[Plain] = []
-        self.layout = Plain(xaxis={"anchor": "y"}, yaxis={"anchor": "x"}, annotations=[])
+        axes = {"xaxis": {"anchor": "y"}, "yaxis": {"anchor": "x"}}
+        self.layout = Plain(**axes, annotations=[], shapes=[])
 
     def add_trace(self, trace: dict[str, Any], **place: int) -> PlainFigure:
         """One more trace."""
@@ -188,6 +189,11 @@ class PlainFigure:
     def add_annotation(self, row: int = 1, col: int = 1, **note: Any) -> PlainFigure:
         """Words at a place."""
         self.layout["annotations"].append(note)
+        return self
+
+    def add_shape(self, **shape: Any) -> PlainFigure:
+        """A straight shape."""
+        self.layout["shapes"].append(shape)
         return self
 
     def update_layout(self, **values: Any) -> PlainFigure:

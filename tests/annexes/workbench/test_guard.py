@@ -427,8 +427,8 @@ def test_the_pages_hold_no_script_and_no_markup_from_names():
     assert "<script>" not in texts["index.html"] and "style=" not in texts["index.html"]
     script = [text for name, text in texts.items() if name.endswith(".js")]
     lines = [line for text in script for line in text.splitlines() if line.strip()]
-    # code, without air and comments; the editor of the filters took it from 620
-    assert len([line for line in lines if not line.lstrip().startswith("//")]) < 770
+    # code, without air and comments; the editor of the filters took it from 620, the grid from 770
+    assert len([line for line in lines if not line.lstrip().startswith("//")]) < 890
     assert max(map(len, lines)) <= 112
 
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import os
+import re
 import signal
 import tomllib
 from xml.etree import ElementTree
@@ -18,6 +19,7 @@ from ambrose.annexes.workbench.svg import svg
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.file.toml import bundled_machines, load_machine
 from ambrose.machine.file.update import fields_of
+from ambrose.machine.kinds import Quantity
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -81,6 +83,132 @@ def test_of_two_edits_of_one_text_the_second_is_told(project):
             answer(project, "machine", action, given)
         assert refused.value.content["stale"]
     assert project.machine.read_bytes() == first
+
+
+def grid(project):
+    told, blocks = shown(project)
+    return told["stamp"], blocks["grid"]["document"]
+
+
+def keep(project, stamp, rows, action="rows"):
+    return answer(project, "machine", action, {"stamp": stamp, "width": 800, "rows": rows})
+
+
+@pytest.mark.parametrize("name", [*bundled_machines()])
+def test_a_grid_gives_back_its_file_and_of_a_changed_cell_that_cell_alone(tmp_path, name):
+    project = Project(tmp_path)
+    begin(project, name)
+    before = project.machine.read_text("utf-8")
+    stamp, rows = grid(project)
+    keep(project, stamp, rows)
+    assert project.machine.read_text("utf-8") == before
+    rows["shaft"][0]["outer_diameter"] = f"{1.25 * float(rows['shaft'][0]['outer_diameter']):.6g}"
+    keep(project, stamp, rows)
+    after = project.machine.read_text("utf-8")
+    changed = [pair for pair in zip(before.splitlines(), after.splitlines(), strict=True)]
+    assert [pair[0].split()[0] for pair in changed if pair[0] != pair[1]] == ["outer_diameter"]
+    old, new = tomllib.loads(before), load_machine(project.machine)
+    expected = 1.25 * Quantity("length").read(old["shaft"][0]["outer_diameter"])
+    assert new.shaft[0].outer_diameter == pytest.approx(expected, rel=1e-5)
+
+
+SHAFT = """
+# from drawing 4711
+[[shaft]]
+length = "1 in"  # of the drawing
+outer_diameter = 0.03
+# the hub
+[[shaft]]
+start = "25.4 mm"
+length = "1400 mm"
+outer_diameter = "50 mm"
+[[shaft]]
+length = "100 mm"
+outer_diameter = "30 mm"
+"""
+
+
+def test_rows_move_with_their_comments_and_units(project):
+    text = project.machine.read_text("utf-8")
+    head, _, rest = text.partition("[[shaft]]")
+    tail = rest[rest.index("[[disc]]") :]
+    project.machine.write_text(head + SHAFT.lstrip() + tail)
+    stamp, rows = grid(project)
+    one, hub, end = rows["shaft"]
+    assert one == {"was": 0, "length": "25.4", "outer_diameter": "30"}
+    one["length"] = "50.8"
+    rows["shaft"] = [end, hub, {"was": None, "length": "10", "outer_diameter": "40"}, one]
+    keep(project, stamp, rows)
+    after = project.machine.read_text("utf-8")
+    assert after.startswith(head) and after.endswith(tail)
+    assert after[len(head) : -len(tail)] == (
+        '# from drawing 4711\n[[shaft]]\nlength = "100 mm"\nouter_diameter = "30 mm"\n'
+        '# the hub\n[[shaft]]\nstart = "100 mm"\nlength = "1400 mm"\nouter_diameter = "50 mm"\n'
+        '[[shaft]]\nlength = "10 mm"\nouter_diameter = "40 mm"\n'
+        '[[shaft]]\nlength = "2 in"  # of the drawing\nouter_diameter = 0.03\n'
+    )
+
+
+def test_what_is_wrong_in_a_cell_is_told_at_it_and_nothing_is_written(project):
+    before = project.machine.read_bytes()
+    stamp, rows = grid(project)
+    wrong = {
+        "length": ("8,5", "decimal mark is a comma"),
+        "outer_diameter": ("-8", "must be positive"),
+        "inner_diameter": ("500", "outer"),
+        "mass_diameter": ("thick", "must be a length"),
+        "elements": ("2.5", "whole number"),
+        "material": ("cheese", "cheese"),
+    }
+    rows["shaft"].insert(0, {"was": None})  # an empty one is none, and moves no other
+    for key, (cell, told) in wrong.items():
+        for action in ("look", "rows"):
+            edited = {**rows, "shaft": [dict(row) for row in rows["shaft"]]}
+            edited["shaft"][2][key] = cell
+            with pytest.raises(Refusal) as refused:
+                keep(project, stamp, edited, action)
+            assert told in refused.value.content["fields"][f"shaft.2.{key}"], key
+    rows["disc"].append({"was": None, "position": "100", "mass": "1"})
+    with pytest.raises(Refusal) as refused:
+        keep(project, stamp, rows)
+    assert [*refused.value.content["fields"]] == [f"disc.{len(rows['disc']) - 1}.name"]
+    assert project.machine.read_bytes() == before
+    for junk in (None, [], {"shaft": 3}, {"shaft": [[]], "disc": []}, {"shaft": [], "disc": []}):
+        with pytest.raises((Refusal, InvalidInput)):
+            keep(project, stamp, junk)
+    assert project.machine.read_bytes() == before
+
+
+def test_a_foreign_table_of_stations_is_pasted_with_its_names(project):
+    """Inches and pounds, with its discs; what it does not have stays."""
+    before = load_machine(project.machine)
+    table = "station\tlength\tod left\tbore\tadded mass\tIp\tIt\n\tin\tin\tin\tlbm\tlbm in^2\t"
+    table += "lbm in^2\n1\t20\t1\t0\t\t\t\n2\t20\t2\t0.5\t4\t10\t6\n3\t20\t1\t0\t\t\t\n"
+    told = answer(project, "machine", "stations", {"table": table, "width": 800})
+    rows = told["blocks"][0]["document"]
+    assert [row["length"] for row in rows["shaft"]] == ["508", "508", "508"]
+    keep(project, shown(project)[0]["stamp"], rows)
+    after = load_machine(project.machine)
+    assert [s.inner_diameter for s in after.shaft] == [0, 0.0127, 0]
+    (disc,) = after.discs
+    assert (disc.position, disc.mass) == pytest.approx((0.508, 1.81436948))
+    assert disc.polar_inertia == pytest.approx(10 * 0.45359237 * 0.0254**2)
+    assert after.bearings == before.bearings and after.sensors == before.sensors
+    with pytest.raises(InvalidInput, match="must be a number"):
+        answer(project, "machine", "stations", {"table": table.replace("0.5", "none")})
+
+
+def test_a_measured_rotor_has_no_grid_and_says_what_to_do(project):
+    text = re.sub(r"(?m)^speed = .*", "speed = 0", project.machine.read_text("utf-8"))
+    text = re.sub(r"(?m)^speed_range = .*", "speed_range = [0, 0]", text)
+    machine = load_machine(project.machine)
+    places = f"[0.0, {machine.length / 2}, {machine.length}]"
+    measured = f"\n[measured_rotor]\nmass = 10.0\nplaces = {places}\n"
+    mode = "\n[[bending_mode]]\nnumber = 1\nfrequency = 500.0\nshape = [1.0, -1.0, 1.0]\n"
+    project.machine.write_text(text + measured + mode)
+    _, blocks = shown(project)
+    assert "take it out of the file" in blocks["grid"]["text"]
+    assert "table-shaft" in blocks
 
 
 def test_the_whole_text_is_written_only_as_a_machine(project):

@@ -57,6 +57,14 @@ def chains(key: str, title: str, document: Any, kinds: Mapping[str, Any], **more
     return _block("chains", key, title, document=document, kinds=kinds, **more)
 
 
+def grid(key: str, title: str, document: Any, columns: Mapping[str, Any], **more: Any) -> Block:
+    """Lists of tables as a spreadsheet; document: of every list its rows of cells; columns: of
+    every list key, name, unit and whether it is shown at first; more: fresh, where the rows are not
+    those of a file.
+    """
+    return _block("grid", key, title, document=document, columns=columns, **more)
+
+
 def page(key: str, file: Path, title: str) -> Block:
     """A page of results of the project, shown and to be opened alone; anew where it was written
     anew.

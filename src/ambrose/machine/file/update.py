@@ -151,6 +151,132 @@ def _is_about(line: str, where: str, key: str) -> bool:
     return line.startswith(head) and re.match(begins, line[len(head) :]) is not None
 
 
+# A list of tables as rows of cells, as a spreadsheet has them: numbers in one unit, whichever the
+# file has. A row says under "was" which entry it came from, so that it keeps its unit and comments.
+
+
+# of every list its keys, with the unit of their cells
+Cells = Mapping[str, Mapping[str, str]]
+
+
+def rows_of(text: str, cells: Cells) -> dict[str, list[dict[str, Any]]]:
+    """The entries of lists of a machine file as rows of cells, without the keys they lack."""
+    document = tomlkit.parse(text)
+    return {
+        name: [
+            {"was": i, **cells_of(entry, name, keys)}
+            for i, entry in enumerate(document.get(name, ()))
+        ]
+        for name, keys in cells.items()
+    }
+
+
+def cells_of(entry: Any, name: str, keys: Mapping[str, str]) -> dict[str, str]:
+    """The cells of one entry of a list, as the file has it or as a part says it (``to_dict``)."""
+    found = {}
+    for key, unit in keys.items():
+        if key in entry:
+            found[key] = str(value := _plain(entry[key]))
+            if unit:
+                dimension = _dimension(_entry_of(name), key, {})
+                number = Quantity(dimension).read(value)
+                known = rewrite_quantity(f"0 {unit}", number, DIMENSIONS[dimension])
+                found[key] = known.removesuffix(f" {unit}")
+    return found
+
+
+def _entry_of(name: str) -> type[Model]:
+    model = table_below(machine_file(), name)
+    assert model is not None, "a list of tables"
+    return model
+
+
+def with_rows(
+    text: str, rows: Mapping[str, Sequence[Mapping[str, Any]]], cells: Cells
+) -> tuple[str, dict[str, str]]:
+    """The text of a machine file with lists that have these rows, and what is wrong in a cell, by
+    its place ("shaft.0.length"): with such a fault the text is of no use.
+
+    Only cells that differ from the file change, in its unit; comments stay with their entries,
+    those above a list with the list. A ``start`` in the shaft follows the lengths.
+    """
+    document = tomlkit.parse(text)
+    tail, faults = _attach_comments(document), dict[str, str]()
+    for name, wanted in rows.items():
+        entries = list(document.get(name, ()))
+        places, values = list[int | None](), list[Any]()
+        for i, row in enumerate(wanted):
+            was = row.get("was")
+            fresh = was in places or not isinstance(was, int) or not 0 <= was < len(entries)
+            places.append(None if fresh else was)
+            entry = {} if was is None or fresh else entries[was]
+            for key, fault in _set_cells(entry, name, row, cells[name]):
+                faults[f"{name}.{i}.{key}"] = fault
+            values.append(entry)
+        if places != list(range(len(entries))):
+            _place_entries(document, name, entries, places, values)
+    if rows.get("shaft") and not faults:
+        _follow_lengths(document["shaft"])
+    return tomlkit.dumps(document) + tail, faults
+
+
+def _place_entries(
+    document: Any, name: str, entries: list[Any], places: list[int | None], values: list[Any]
+) -> None:
+    """The entries of a list in the order ``places``; None stands for a new one, with its values."""
+    if not values:
+        document.remove(name)
+    elif not entries:
+        _add(document, name, values)
+    else:
+        heads = [entry.trivia.indent for entry in entries]
+        _reorder(document[name], entries, places, values)
+        if not isinstance(document[name], Array) and places[0] != 0:  # the list keeps its head
+            if 0 in places:
+                document[name][places.index(0)].trivia.indent = "\n" * heads[-1].startswith("\n")
+            first = document[name][0].trivia
+            first.indent = heads[0] + first.indent.lstrip("\n")
+
+
+def _set_cells(
+    entry: Any, name: str, row: Mapping[str, Any], keys: Mapping[str, str]
+) -> Iterator[tuple[str, str]]:
+    """Bring an entry to the cells of a row; key and sentence of every cell that cannot be."""
+    model, before = _entry_of(name), cells_of(entry, name, keys)
+    for key, unit in keys.items():
+        cell = str(row.get(key, "")).strip()
+        if not cell and model.model_fields[key].is_required():
+            yield key, f"{key} is missing"
+        elif not cell:
+            entry.pop(key, None)
+        elif cell != before.get(key):
+            stated = f"{cell} {unit}" if re.fullmatch(r"[-+\d.,eE]+", cell) and unit else cell
+            dimension = _dimension(model, key, {})
+            try:
+                value = Quantity(dimension).read(stated) if unit else cell
+            except ValueError as error:
+                yield key, f"{key} {error}"
+                continue
+            if key == "elements" and re.fullmatch(r"\d+", cell):
+                value = int(cell)
+            entry[key] = (
+                _rewritten(entry[key], value, dimension)
+                if key in entry
+                else stated
+                if unit
+                else value
+            )
+
+
+def _follow_lengths(shaft: Any) -> None:
+    """Where a section states its start, it is the end of the one before."""
+    end, length = 0.0, Quantity("length")
+    for entry in shaft:
+        if "start" in entry and abs(length.read(_plain(entry["start"])) - end) > 1e-9 * end:
+            entry["start"] = _rewritten(entry["start"], float(f"{end:.12g}"), "length")
+        end += length.read(_plain(entry["length"]))
+
+
 _Plain = Mapping[str, Any]
 # the key whose value tells the entries of a list apart; of other lists their order does
 _IDENTITIES = {

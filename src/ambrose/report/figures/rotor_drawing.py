@@ -56,13 +56,13 @@ class Station:
     symbol: str = ""
 
 
-def machine_drawing(machine: Machine, bending_modes: int = 2) -> Any:
-    """The rotor of a machine with its free-free modes, from its finite elements. Returns a plotly
-    Figure.
+def machine_drawing(machine: Machine, bending_modes: int = 2, *, rigid: bool = True) -> Any:
+    """The rotor of a machine with its free-free modes, from its finite elements; rigid: with those
+    of the rigid rotor. Returns a plotly Figure.
     """
     rotor = finite_element_rotor(machine)
     modes = free_modes(rotor, bending_modes)
-    plane = slice(0, None, 2)  # the modes come in x/y pairs; the drawing shows x
+    plane = slice(0 if rigid else 4, None, 2)  # the modes come in x/y pairs; the drawing shows x
     return rotor_drawing(
         machine, rotor.positions, modes.shapes[0::4, plane], modes.frequencies[plane]
     )
@@ -77,8 +77,6 @@ def rotor_drawing(
     [any]: lateral displacement of the nodes, each mode scaled to its largest. frequencies (k,)
     [rad/s]: 0 for a rigid-body mode. Returns a plotly Figure. Raises InvalidInput.
     """
-    import plotly.graph_objects as go
-
     nodes = check_shape(node_positions, "node_positions", "(n,)") * 1e3
     modes = check_shape(shapes, "shapes", "(n, k)", n=nodes.size)
     omega = check_shape(frequencies, "frequencies", "(k,)", k=modes.shape[1])
@@ -87,7 +85,7 @@ def rotor_drawing(
     widths = [2 * size[0] for size in cylinders]
     widths += [max(part.diameters(end)) for part in machine.shaft for end in (0, 1)]
     pixel = 1e3 * max(1.08 * machine.length / _PIXELS, max(widths) / _TALLEST)  # [mm]
-    figure = go.Figure()
+    figure = theme.subplots(1, 1)
     _shaft(figure, machine)
     for disc in machine.discs:
         if (size := equivalent_cylinder(disc)) is not None:
@@ -101,7 +99,7 @@ def rotor_drawing(
     drawn = (top - bottom) / pixel
     total = drawn + modes.shape[1] * (_ROW + _GAP) + _GAP
     theme.dress(figure, round(total), legend=False)
-    figure.update_layout(meta={**figure.layout.meta, "least": _LEAST})
+    figure.update_layout(meta={**figure.layout["meta"], "least": _LEAST})
     width = 0.5 * (length - _PIXELS * pixel), 0.5 * (length + _PIXELS * pixel)
     shares = drawn / total, _GAP / total
     _layout(figure, width, (bottom, top), shares, modes.shape[1])
@@ -448,7 +446,7 @@ def _layout(
             "visible": False,
             "fixedrange": True,
         }
-        figure.update_layout({f"yaxis{i + 2}": axis})
+        figure.update_layout(**{f"yaxis{i + 2}": axis})
 
 
 def _shapes(

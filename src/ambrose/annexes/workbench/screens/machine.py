@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +22,25 @@ from ambrose.annexes.workbench.project import MACHINE, Project
 from ambrose.annexes.workbench.screens import Answer, Screen
 from ambrose.annexes.workbench.svg import svg
 from ambrose.core.checks import InvalidInput
+from ambrose.machine.file.stations import rotor_of_stations
 from ambrose.machine.file.toml import load_machine, loads_machine, read_machine_text
-from ambrose.machine.file.update import beside, fields_of, tables_of, with_fields
+from ambrose.machine.file.update import (
+    beside,
+    cells_of,
+    fields_of,
+    rows_of,
+    tables_of,
+    with_fields,
+    with_rows,
+)
 from ambrose.machine.machine import Machine
 from ambrose.machine.ordinary_file import TOML_BYTES, write_text
+from ambrose.machine.part import MATERIALS, Material
+from ambrose.model.assemble import bending_modes_of
+from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
 from ambrose.record.files import read_record, write_record
 from ambrose.record.foreign import columns_in_words, read_columns, read_foreign, variables_in_words
+from ambrose.report import theme
 from ambrose.report.page import Cell
 from ambrose.report.record import record_page
 
@@ -44,22 +58,48 @@ def show_machine(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     except InvalidInput as error:
         lead = blocks.words("problem", str(error), "The file is no machine", "bad")
         return blocks.content([lead, _whole_text(text)], stamp=stamp_of(text))
-    tables = [_table_form(text, name, title) for name, title in tables_of(text)]
+    grid = _grid(text, machine)
+    tables = [
+        _table_form(text, name, title)
+        for name, title in tables_of(text)
+        if grid["kind"] == "words" or name not in _CELLS
+    ]
     rest = [*tables, _whole_text(text), *beginning.forms(project)]
-    return blocks.content([*_seen(machine, given), *rest], stamp=stamp_of(text))
+    return blocks.content([grid, *_seen(machine, given), *rest], stamp=stamp_of(text))
+
+
+def _drawn(machine: Machine, given: Mapping[str, Any]) -> list[Block]:
+    """The rotor with its first modes, and where these have nodes."""
+    from ambrose.chain.check import free_mode_rows
+    from ambrose.report.figures.rotor_drawing import machine_drawing
+
+    rotor = finite_element_rotor(machine)
+    count = min(_MODES, bending_modes_of(rotor))
+    with theme.bare():
+        figure = machine_drawing(machine, count, rigid=False)
+    words = f"The rotor of {machine.name}"
+    drawing = svg(figure, min(width(given), _WIDEST), words, "rotor")
+    properties = mass_properties(rotor)
+    note = f"{properties.mass:.5g} kg, centre of mass at {1e3 * properties.centre:.5g} mm."
+    fixed = [str(mode.number) for mode in machine.bending_modes if mode.frequency is not None]
+    if fixed:
+        note += f" [[bending_mode]] sets the measured frequency of mode {', '.join(fixed)}."
+    columns = ("mode", "frequency", "at magnets and sensors")
+    known = blocks.rows_table(
+        "Free-free bending modes",
+        columns,
+        [(*row[:2], row[2] or "-") for row in free_mode_rows(machine, count)],
+    )
+    return [
+        blocks.picture("drawing", drawing, machine.name, machine.description),
+        blocks.table("modes", replace(known, note=note)),
+    ]
 
 
 def _seen(machine: Machine, given: Mapping[str, Any]) -> list[Block]:
     """The drawing and what `check` says."""
     from ambrose.chain.check import facts, rows_of
-    from ambrose.report.figures.rotor_drawing import machine_drawing
 
-    drawing = svg(
-        machine_drawing(machine),
-        min(width(given), _WIDEST),
-        f"The rotor of {machine.name}",
-        "rotor",
-    )
     known = facts(machine)
     doubts = [(Cell("implausible", "fail"), doubt) for doubt in known["doubts"]]
     remarks = [(Cell("note", "muted"), remark) for remark in known["remarks"]]
@@ -69,7 +109,7 @@ def _seen(machine: Machine, given: Mapping[str, Any]) -> list[Block]:
         verdict = f"IMPLAUSIBLE: {known['doubts'][0]}"
     return [
         blocks.words("verdict", verdict, tone="bad" if known["doubts"] else "good"),
-        blocks.picture("drawing", drawing, machine.name, machine.description),
+        *_drawn(machine, given),
         blocks.same(
             f"ambrose check {MACHINE}",
             f'machine = amb.load_machine("{MACHINE}")',
@@ -113,6 +153,147 @@ def _whole_text(text: str) -> Block:
     )
 
 
+# The shaft and its discs as a spreadsheet, drawn while it is edited.
+
+
+_MODES = 4
+_ROWS = 2000  # of a grid
+# keys and units of the cells; names as in a table of stations; all columns but those in _FIRST are
+# hidden at first where no row of the file has them
+_CELLS = {
+    "shaft": {
+        "length": "mm",
+        "outer_diameter": "mm",
+        "inner_diameter": "mm",
+        "end_outer_diameter": "mm",
+        "end_inner_diameter": "mm",
+        "mass_diameter": "mm",
+        "elements": "",
+        "material": "",
+        "label": "",
+    },
+    "disc": {
+        "name": "",
+        "position": "mm",
+        "mass": "kg",
+        "polar_inertia": "kg m^2",
+        "diametral_inertia": "kg m^2",
+    },
+}
+_COLUMNS = {
+    "outer_diameter": "od",
+    "inner_diameter": "id",
+    "end_outer_diameter": "od right",
+    "end_inner_diameter": "id right",
+    "mass_diameter": "mass od",
+    "polar_inertia": "Ip",
+    "diametral_inertia": "It",
+}
+_FIRST = {"length", "outer_diameter", "inner_diameter", "elements", *_CELLS["disc"]}
+
+
+def _grid(text: str, machine: Machine, document: Any = None) -> Block:
+    """The rows of the file, or these; of a rotor that has none, what to do."""
+    if machine.measured_rotor is not None:
+        told = "[measured_rotor] states the modes: take it out of the file to edit stations here."
+        return blocks.words("grid", told, "Stations", "muted")
+    known = rows_of(text, _CELLS)
+    used = {key for rows in known.values() for row in rows for key in row}
+    columns = {
+        name: [
+            [key, _COLUMNS.get(key, key), unit, key in _FIRST | used] for key, unit in keys.items()
+        ]
+        for name, keys in _CELLS.items()
+    }
+    hint = (
+        "Paste cells of a spreadsheet, or a whole table of stations with its row of names. "
+        "Positions count from the left end; bearings and sensors keep theirs."
+    )
+    rows = document or known
+    return blocks.grid("grid", "Stations", rows, columns, hint=hint, side=True)
+
+
+def _edited(project: Project, given: Mapping[str, Any]) -> tuple[str, str, Machine]:
+    """The text of the file, the one with the rows of the page, and its machine. Raises Refusal."""
+    before, rows = _current(project, given), given.get("rows")
+    kept: dict[str, dict[int, dict[str, Any]]] = {}
+    for name, keys in _CELLS.items():
+        listed = rows.get(name) if isinstance(rows, dict) else None
+        listed = listed if isinstance(listed, list) else [listed]
+        if len(listed) > _ROWS or not all(isinstance(row, dict) for row in listed):
+            raise InvalidInput(f"the grid is no table of {_ROWS} rows at most; reload the page")
+        cells = [{key: word(row, key).strip() for key in keys} for row in listed]
+        # a row without a word is none
+        kept[name] = {
+            i: {**row, "was": listed[i].get("was")}
+            for i, row in enumerate(cells)
+            if any(row.values())
+        }
+    wanted = {name: list(found.values()) for name, found in kept.items()}
+    after, faults = with_rows(before, wanted, _CELLS)
+    told = "; ".join(faults.values())
+    if not faults:
+        try:
+            return before, after, loads_machine(after, MACHINE)
+        except InvalidInput as error:
+            told, faults = str(error), beside(error, after, MACHINE)
+    own = {}
+    for place, fault in faults.items():
+        name, number, key = [*place.split(".", 2), "", ""][:3]
+        if name in kept:  # each row where the page has it
+            own[f"{name}.{[*kept[name]][int(number)]}.{key}"] = fault
+    raise Refusal(told, own)
+
+
+def _look(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
+    """The rotor of the rows that are edited; what `check` says waits for the file."""
+    before, after, machine = _edited(project, given)
+    if after == before:
+        return blocks.content(_seen(machine, given), whole=False)
+    verdict = blocks.words("verdict", "No result yet: Save checks the edited rotor.", tone="muted")
+    return blocks.content([verdict, *_drawn(machine, given)], whole=False, gone=["check"])
+
+
+def _save_rows(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
+    """The rows into the file."""
+    return _keep(project, given, *_edited(project, given)[:2])
+
+
+def _take_stations(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
+    """A table of stations that was pasted with its names, in place of the rows; without discs in
+    it, these stay.
+    """
+    text = read_machine_text(project.machine)
+    machine, rows = loads_machine(text, MACHINE), rows_of(text, _CELLS)
+    rotor = rotor_of_stations(word(given, "table", TOML_BYTES), "the pasted table")
+    known = {**MATERIALS, **{part.material.name: part.material for part in machine.shaft}}
+    taken: dict[str, list[dict[str, Any]]] = {"shaft": [], "disc": []}
+    for part in rotor.shaft:
+        made, named = part.material, part.material.name
+        alike = [name for name, had in known.items() if replace(had, name=named) == made]
+        if made != Material() and not alike and made != MATERIALS.get(named):
+            raise InvalidInput(
+                f"the pasted table has a material of {made.youngs_modulus / 1e9:.4g} GPa and "
+                f"{made.density:.5g} kg/m^3, which the machine file lacks; add a [material.NAME] "
+                "table with them, then paste again"
+            )
+        name = named if named in alike or not alike else alike[0]
+        taken["shaft"].append({**part.to_dict(), "material": "" if made == Material() else name})
+    taken["disc"] = [part.to_dict() for part in rotor.discs]
+    for name, parts in taken.items():
+        if parts:
+            same = len(parts) == len(rows[name])  # of as many rows each keeps its comments
+            short = [
+                {k: float(f"{v:.12g}") if isinstance(v, float) else v for k, v in part.items()}
+                for part in parts
+            ]
+            rows[name] = [
+                {"was": i if same else None, **cells_of(part, name, _CELLS[name])}
+                for i, part in enumerate(short)
+            ]
+    return blocks.content([{**_grid(text, machine, rows), "fresh": True}], whole=False)
+
+
 # what is written
 
 
@@ -153,8 +334,6 @@ def _current(project: Project, given: Mapping[str, Any]) -> str:
 
 def _keep(project: Project, given: Mapping[str, Any], before: str, text: str) -> dict[str, Any]:
     """The text written, if it is a machine's. Raises Refusal with a sentence for each field."""
-    from ambrose.machine.ordinary_file import write_text
-
     try:
         loads_machine(text, MACHINE)
     except InvalidInput as error:
@@ -167,7 +346,14 @@ def _keep(project: Project, given: Mapping[str, Any], before: str, text: str) ->
 _WAYS = {"begin": beginning.bundled, "template": beginning.template, "take": beginning.take}
 SCREEN_MACHINE = Screen(
     show_machine,
-    {"save": _save, "write": _write, **{name: _then(way) for name, way in _WAYS.items()}},
+    {
+        "save": _save,
+        "write": _write,
+        "look": _look,
+        "rows": _save_rows,
+        "stations": _take_stations,
+        **{name: _then(way) for name, way in _WAYS.items()},
+    },
 )
 
 

@@ -1,6 +1,38 @@
-// The filters of a controller: rows of numbers, handles on its Bode figures, undo. The document is a
-// [controller] table; a change makes a new one, so that the ones before stay as they were.
+// What is edited in rows, with undo: the filters of a controller with their handles on its Bode figures,
+// and a grid of cells (grid.js). A change makes a new document, so that the ones before stay as they were.
 import { button, make, replace } from "/static/page.js";
+
+// the documents there were, of which one is shown; changed: what follows, told whether a field was typed in
+export function memory(first, changed) {
+  let [history, at] = [[first], 0];
+  const now = () => history[at];
+  const step = (way) => { put(history, Math.min(Math.max(at + way, 0), history.length - 1)); changed(); };
+  const buttons = [button("Undo", () => step(-1)), button("Redo", () => step(1))];
+  const put = (all, place = all.length - 1) => {
+    [history, at] = [all, place];
+    [buttons[0].disabled, buttons[1].disabled] = [at === 0, at === all.length - 1];
+  };
+  const add = (made, again) => put([...history.slice(0, again ? at : at + 1), made]);
+  // from: the document that is changed; again: in place of the newest one, as while a handle moves
+  const edit = (change, from = now(), again = false, typed = false) => {
+    const made = structuredClone(from);
+    change(made);
+    add(made, again);
+    changed(typed);
+  };
+  const keys = (event) => { // where no field has an undo of its own
+    const [key, field] = [event.key.toLowerCase(), event.target];
+    if (!(event.ctrlKey || event.metaKey) || !"zy".includes(key)) return;
+    if (field.type === "text" && field.value !== field.defaultValue) return;
+    event.preventDefault();
+    step(key === "y" || event.shiftKey ? 1 : -1);
+  };
+  put(history);
+  return { now, add, edit, keys, buttons };
+}
+
+// a small button of a row
+export const small = (text, title, act, disabled) => button(text, act, { ariaLabel: title, title, disabled });
 
 let held = null; // the editor of the page, which handles turn
 
@@ -14,46 +46,24 @@ const WAYS = { // of a handle that moves: a value, factors of frequency and magn
 };
 
 export function chains(block, act) {
-  let [history, at, opened] = [[block.document], 0, block.document];
-  const now = () => history[at];
-  let rows = make("div", {});
-  const undo = button("Undo", () => step(-1));
-  const redo = button("Redo", () => step(1));
-  const element = make("div", {}, make("p", { className: "muted" }, block.hint),
-    make("div", { className: "buttons" }, undo, redo), rows);
-  element.addEventListener("keydown", keys);
+  let [opened, rows] = [block.document, make("div", {})];
+  const ask = () => { show(); act(block.live, {}, true); };
+  const past = memory(block.document, ask);
+  const { now, edit } = past;
+  const element = make("div", { onkeydown: past.keys }, make("p", { className: "muted" }, block.hint),
+    make("div", { className: "buttons" }, ...past.buttons), rows);
   const show = () => {
     const fresh = make("div", { className: "chains" }, ...now().channel.map(chain));
     replace(rows, fresh);
     rows = fresh;
-    [undo.disabled, redo.disabled] = [at === 0, at === history.length - 1];
   };
-  const ask = () => { show(); act(block.live, {}, true); };
-  function step(way) {
-    at = Math.min(Math.max(at + way, 0), history.length - 1);
-    ask();
-  }
-  function keys(event) { // where no field has an undo of its own
-    const key = event.key.toLowerCase();
-    if (!(event.ctrlKey || event.metaKey) || !"zy".includes(key) || event.target.type === "text") return;
-    event.preventDefault();
-    step(key === "y" || event.shiftKey ? 1 : -1);
-  }
-  // from: the document that is changed; again: in place of the newest one, as while a handle moves
-  function edit(change, from = now(), again = false) {
-    const made = structuredClone(from);
-    change(made);
-    history = [...history.slice(0, again ? at : at + 1), made];
-    at = history.length - 1;
-    ask();
-  }
 
   const entry = (name, [key, label, unit, factor], part) => {
     const value = part[key];
     const shown = (v) => Number((v * factor).toPrecision(7));
     const text = value === undefined ? "" : [value].flat().map(shown).join(" ");
     const beside = make("small", { className: "bad" });
-    const input = make("input", { type: "text", name: `${name}.${key}`, value: text });
+    const input = make("input", { type: "text", name: `${name}.${key}`, defaultValue: text });
     input.addEventListener("change", () => {
       const numbers = input.value.trim().replaceAll(",", ".").split(/\s+/).filter(Boolean).map(Number);
       const many = Array.isArray(value);
@@ -75,12 +85,11 @@ export function chains(block, act) {
       const list = made.channel[c].section;
       [list[r], list[other]] = [list[other], list[r]];
     });
-    const small = (text, words, action, off) => button(text, action,
-      { ariaLabel: `${words} ${title}, ${now().channel[c].names}`, title: words, disabled: off });
+    const of = `${title}, ${now().channel[c].names}`;
     return make("section", {}, make("div", { className: "buttons" }, make("b", {}, title),
-      small("↑", "Earlier:", () => swap(r - 1), r === 0),
-      small("↓", "Later:", () => swap(r + 1), r === all.length - 1),
-      small("✕", "Delete", () => edit((made) => { made.channel[c].section.splice(r, 1); }), false)),
+      small("↑", `Earlier: ${of}`, () => swap(r - 1), r === 0),
+      small("↓", `Later: ${of}`, () => swap(r + 1), r === all.length - 1),
+      small("✕", `Delete ${of}`, () => edit((made) => { made.channel[c].section.splice(r, 1); }))),
     ...block.kinds[section.kind].map((known) => entry(`channel.${c}.section.${r}`, known, section)));
   };
   const chain = (channel, c) => {
@@ -102,11 +111,10 @@ export function chains(block, act) {
   element.values = () => ({ chains: now(), opened });
   element.take = (told) => { // another controller is opened; what was edited before is one undo away
     if (!told.fresh) return;
-    [history, opened] = [[...history.slice(0, at + 1), told.document], told.document];
-    at = history.length - 1;
+    past.add(opened = told.document);
     show();
   };
-  held = { now, edit, keys };
+  held = past;
   show();
   return element;
 }

@@ -2,6 +2,7 @@
 import { ask, button, make, replace, say } from "/static/page.js";
 import { form, sameAs } from "/static/controls.js";
 import { chains, handle } from "/static/editor.js";
+import { grid } from "/static/grid.js";
 
 const cells = (tag, list) => make("tr", {}, ...list.map((cell) =>
   make(tag, { className: cell.mark || "" }, cell.text ?? cell)));
@@ -25,13 +26,14 @@ const DRAW = {
   same: (block) => sameAs(block.lines),
   form,
   chains,
+  grid,
 };
 
 export const screen = (name) => async (place) => {
   const [shown, list] = [new Map(), make("div", { className: "blocks" }, "Looking …")];
   const side = make("div", { className: "side" }); // what is turned stays in sight of its curves
   let [stamp, line, waiting, jobs, ended, left, wrong] = ["", Promise.resolve(), null, [], 0];
-  place.className = name === "controllers" ? "beside" : "";
+  place.className = ["controllers", "machine"].includes(name) ? `beside ${name}` : "";
   place.append(side, list);
   const run = async (by, to, values, quiet) => {
     try {
