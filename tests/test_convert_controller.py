@@ -85,12 +85,12 @@ def test_a_controller_with_units_and_sign_is_the_one_that_it_came_from(place):
     [
         (
             ("--input", "displacement"),
-            "of the other sign (--input displacement turns it), it would be stable everywhere",
+            "of the other sign (exchange input error and displacement: --input, or in its file), it would be stable everywhere",
         ),
         (("--input-unit", "um"), "in um (--input-unit um), it would be stable everywhere"),
         (
             ("--input", "displacement", "--input-unit", "um"),
-            "of the other sign (--input displacement turns it) and in um",
+            "of the other sign (exchange input error and displacement: --input, or in its file) and in um",
         ),
     ],
 )

@@ -92,7 +92,10 @@ def test_the_page_is_a_document_to_edit(place, monkeypatch):
     folder, done = place
     told = json.loads(done.stdout)
     paper = docx.Document(str(folder / "out" / "review.docx"))
-    grids = [[[cell.text for cell in row.cells] for row in table.rows] for table in paper.tables]
+    grids = [
+        [[cell.text.replace("\N{NO-BREAK SPACE}", " ") for cell in row.cells] for row in table.rows]
+        for table in paper.tables
+    ]
     assert grids[0][1] == ["Result", f"{'✓' if told['passed'] else '✗'} {told['verdict']}"]
     assert [row[0] for row in grids[-1][1:]] == ["Prepared", "Checked", "Released"]
     rows = [row for grid in grids for row in grid]
@@ -208,3 +211,13 @@ def test_the_table_of_the_page_holds_its_machine(tmp_path):
     (tmp_path / "vendor.csv").write_text(table[1])
     verdict = amb.verify(RIG, tmp_path / "vendor.csv", points="rest", tolerances=False)
     assert verdict.stable
+
+
+def test_a_sensor_across_a_node_is_answered_by_a_verdict_that_passes(place, monkeypatch):
+    """What `check` doubts of a place, a controller that passes there answers: it is a remark."""
+    folder, _ = place
+    monkeypatch.setattr("ambrose.chain.check.seen_modes", lambda m, n: [("A", 1, 900.0, 0.8, -0.5)])
+    found = amb.review(folder / "rotor.toml", folder / "pid.json")
+    across = [one for one in found.doubts + found.remarks if "across a node" in one]
+    assert len(across) == 1 and found.verification.passed == (across[0] in found.remarks)
+    assert across[0].endswith("(this one passes)") == found.verification.passed

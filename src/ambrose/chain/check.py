@@ -1092,18 +1092,27 @@ def _places(machine: Machine, rotor: Rotor) -> Iterator[str]:
             f"the bearings stand {1e3 * np.ptp(places):.3g} mm apart: nothing carries the "
             "rotor's tilting; check position"
         )
-    for bearing, _, frequency, at, measured in seen_modes(machine, 1):
-        what = f"the first bending mode ({frequency / HERTZ:.4g} Hz)"
+    for bearing, _, frequency, _, measured in seen_modes(machine, 1):
         if abs(measured) < _NODE:
             yield (
-                f"the sensor of bearing {bearing} is at a node of {what} and barely measures it; "
-                "move it along the shaft"
+                f"the sensor of bearing {bearing} is at a node of {_first(frequency)} and barely "
+                "measures it; move it along the shaft"
             )
-        elif at * measured < 0 and abs(at) > _NODE:
+    yield from sensors_across(machine)
+
+
+def _first(frequency: float) -> str:
+    return f"the first bending mode ({frequency / HERTZ:.4g} Hz)"
+
+
+def sensors_across(machine: Machine) -> Iterator[str]:
+    """The doubts of sensors' places that a controller which passes `verify` answers."""
+    for bearing, _, frequency, at, measured in seen_modes(machine, 1):
+        if at * measured < 0 and abs(at) > _NODE and abs(measured) >= _NODE:
             yield (
-                f"the sensor of bearing {bearing} is across a node of {what}: what damps "
-                "other modes drives this one; "
-                "move it to the bearing's side, or design with the mode in the model"
+                f"the sensor of bearing {bearing} is across a node of {_first(frequency)}: what "
+                "damps other modes drives this one; move it to the bearing's side, or verify a "
+                "controller that was designed with this mode"
             )
 
 

@@ -30,7 +30,7 @@ from ambrose.law.loop import match_controller
 from ambrose.machine.criteria import TWO_PI, Demand, demand
 from ambrose.machine.description import Tolerance
 from ambrose.model.assemble import bending_modes_of
-from ambrose.model.plant import Plant
+from ambrose.model.plant import Plant, highest_verified
 from ambrose.model.uncertainty import (
     default_bending_modes,
     in_tolerances,
@@ -394,7 +394,10 @@ def check_over_box(
         there = perturbed(plant, box.named(worst.delta), tolerances_varied)
         share, words = half_order_share(there, controller)
     value = np.inf if unstable.any() else worst.value * share
-    found_at = f"{where(worst.delta)}, at {worst.omega / TWO_PI:.4g} Hz; full plant, search{words}"
+    top, at = highest_verified(plant.machine), worst.omega
+    # a peak that is no tolerance's: the rows of the points end below it
+    beyond = f", beyond the {top / TWO_PI:.4g} Hz where the rows of the points end" * (at > top)
+    found_at = f"{where(worst.delta)}, at {at / TWO_PI:.4g} Hz{beyond}; full plant, search{words}"
     checks: list[Check] = [
         judge(
             "sampled.stability.box",

@@ -330,7 +330,10 @@ _UNITS = {
     1e-6: "with a gain 1e6 times smaller",
 }
 _FALLEN = 0.2  # of the largest real part, to which another unit must lower it to be worth a word
-_SIGNS = {1.0: "", -1.0: "of the other sign (--input displacement turns it)"}
+_SIGNS = {
+    1.0: "",
+    -1.0: "of the other sign (exchange input error and displacement: --input, or in its file)",
+}
 
 
 def resampled(

@@ -146,7 +146,7 @@ def review(
     axial: the controller of the axis along the shaft. Raises InvalidInput.
     """
     from ambrose import api, registry
-    from ambrose.chain.check import facts
+    from ambrose.chain.check import facts, sensors_across
     from ambrose.core.checks import AmbroseError
     from ambrose.judge.checks import moving_proofs
     from ambrose.judge.controller_file import made_for, read_controller
@@ -189,6 +189,10 @@ def review(
     if not stated:
         left.append("Landing: the machine file has no [bearing.touchdown.limits].")
     doubts, remarks = (tuple(known[key]) for key in ("doubts", "remarks"))
+    if result.passed:  # which is what these ask for
+        answered = {*sensors_across(described)} if described.bearings else set()
+        remarks += tuple(f"{doubt} (this one passes)" for doubt in doubts if doubt in answered)
+        doubts = tuple(doubt for doubt in doubts if doubt not in answered)
     not_judged = tuple(dict.fromkeys(left))
     return Review(described, result, lateral, landing, doubts, remarks, not_judged, tuple(refused))
 

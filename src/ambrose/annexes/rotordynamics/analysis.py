@@ -762,8 +762,8 @@ def _point(machine: Machine, point: OperatingPoint | str | None) -> OperatingPoi
     if chosen.speed <= 0:
         raise InvalidInput(
             f"the operating point {chosen.label or 'given'} is at standstill, but a lateral "
-            "analysis needs a turning rotor; add an [[operating_point]] at maximum continuous "
-            "speed, or name it"
+            "analysis needs a turning rotor; add an [[operation.point]] at maximum continuous "
+            "speed, name one, or give a rotor model its --speed"
         )
     return chosen
 
