@@ -17,7 +17,7 @@ const DRAW = {
     const svg = new DOMParser().parseFromString(block.svg, "image/svg+xml").documentElement;
     const dots = (block.handles || []).map((spec) => handle(spec, block.step));
     return make("figure", { className: "wide", tabIndex: 0 },
-      make("div", { className: "drawing" }, document.importNode(svg, true), ...dots),
+      make("div", { className: dots.length ? "drawing" : "still" }, document.importNode(svg, true), ...dots),
       make("figcaption", {}, block.caption));
   },
   page: (block) => make("div", {}, make("a", { href: block.src, target: "_blank" }, "Open it alone"),
