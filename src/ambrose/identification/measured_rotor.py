@@ -31,8 +31,8 @@ from ambrose.model.plant import Plant
 _STEP = 1e-6  # of a parameter's size, of the differences: the model is a low polynomial in all
 _DAMPING = 0.01  # of which a steel shaft's modes are, within a decade or two
 _SMALL = 1e-2  # of the size of a deflection, at which a mode's part of the responses is linear
-# times its usual size, that nothing is; at 10 a pump's gyroscopic number was held at its end
-_FAR = 100.0
+# times its usual size, that nothing is, and that no gyroscopic number is: a pump's was held at 10
+_FAR, _FARTHER = 10.0, 100.0
 RINGS = 0.1  # damping ratio above which nothing is a mode
 _YIELDING, _HELD = 0.5**0.5, 0.001  # damping of a compliance, and how closely its logarithms stay
 _SHARP = 0.03  # of the logarithm of a damping ratio that is held
@@ -196,6 +196,9 @@ class Layout:
         centre, *inertias = theta[self.rigid]
         modes = [theta[self.mode(k)] for k in range(self.modes)]
         rates = [mode[0] for mode in modes[: self.true_modes]]
+        most = _FAR * self.usual(len(theta))
+        for k in range(self.modes):
+            most[self.mode(k)][2 : 2 + self.whirling] = _FARTHER
         return (
             0 < centre < self.machine.length
             and inertias[0] > 0
@@ -209,7 +212,7 @@ class Layout:
             and max(rates, default=0.0) < np.log(_BEYOND * self.highest)
             and all(mode[1] < np.log(RINGS) for mode in modes[: self.true_modes])
             and all(mode[1] < 0 for mode in modes)
-            and bool((np.abs(theta) <= _FAR * self.usual(len(theta))).all())
+            and bool((np.abs(theta) <= most).all())
         )
 
     def begin(self, values: np.ndarray) -> np.ndarray:
