@@ -220,4 +220,4 @@ def test_a_sensor_across_a_node_is_answered_by_a_verdict_that_passes(place, monk
     found = amb.review(folder / "rotor.toml", folder / "pid.json")
     across = [one for one in found.doubts + found.remarks if "across a node" in one]
     assert len(across) == 1 and found.verification.passed == (across[0] in found.remarks)
-    assert across[0].endswith("(this one passes)") == found.verification.passed
+    assert across[0].endswith("(verify passes this controller)") == found.verification.passed

@@ -31,7 +31,7 @@ from ambrose.model.plant import Plant
 _STEP = 1e-6  # of a parameter's size, of the differences: the model is a low polynomial in all
 _DAMPING = 0.01  # of which a steel shaft's modes are, within a decade or two
 _SMALL = 1e-2  # of the size of a deflection, at which a mode's part of the responses is linear
-# times its usual size, that nothing is, and that no gyroscopic number is: a pump's was held at 10
+# how many times its usual size a number may be, and a gyroscopic one: a pump's ended at 10
 _FAR, _FARTHER = 10.0, 100.0
 RINGS = 0.1  # damping ratio above which nothing is a mode
 _YIELDING, _HELD = 0.5**0.5, 0.001  # damping of a compliance, and how closely its logarithms stay

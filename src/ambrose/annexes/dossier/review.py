@@ -191,7 +191,9 @@ def review(
     doubts, remarks = (tuple(known[key]) for key in ("doubts", "remarks"))
     if result.passed:  # which is what these ask for
         answered = {*sensors_across(described)} if described.bearings else set()
-        remarks += tuple(f"{doubt} (this one passes)" for doubt in doubts if doubt in answered)
+        remarks += tuple(
+            f"{doubt} (verify passes this controller)" for doubt in doubts if doubt in answered
+        )
         doubts = tuple(doubt for doubt in doubts if doubt not in answered)
     not_judged = tuple(dict.fromkeys(left))
     return Review(described, result, lateral, landing, doubts, remarks, not_judged, tuple(refused))
