@@ -12,7 +12,8 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Where an environment forbids it, every process would compile 500 files anew: a quarter of its start.
 unexport PYTHONDONTWRITEBYTECODE
 
-PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# modules are compiled when they are first imported: most of what would be compiled here never is
+PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 # whole files to a worker, in the order of tests/reach.py: the longest first
 PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder -m 'not study and not source'
 

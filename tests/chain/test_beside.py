@@ -40,5 +40,6 @@ def test_who_listens_may_end_it_all():
     # of the end of a process its own pipe tells: the executor's thread asks for its status too, and
     # whoever asks second is told that the process is still alive
     while left:
-        assert (ended := connection.wait(left, 60))
+        ended = connection.wait(left, 60)
+        assert ended
         left.difference_update(ended)

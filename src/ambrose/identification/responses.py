@@ -803,7 +803,7 @@ class Problem:
         one: twice the log likelihood of the best fit with exchanged names from the values at begin,
         beside that as named.
         """
-        size = self.excess(minimum)
+        size, as_named = self.excess(minimum), self.linearise(begin).cost
         untold: list[str] = []
         better: list[tuple[float, str]] = []
         for words, named in self._exchanges():
@@ -822,7 +822,7 @@ class Problem:
                 for one in self.responses
             )
             other = replace(self, responses=responses)
-            if other.linearise(begin).cost > _HOPELESS * self.linearise(begin).cost:
+            if other.linearise(begin).cost > _HOPELESS * as_named:
                 continue
 
             def near(theta: np.ndarray) -> bool:

@@ -286,24 +286,31 @@ def predicted(
     then G is the plant's, else that with the other loops closed.
     """
     i, j = axes.index(path.read), axes.index(path.injected)
-    T, dT = (K @ Y, K @ dY) if path.at == CURRENT else (Y @ K, dY @ K)
     if path.quantity == "motion":
         return Y[:, i, j], dY[:, :, i, j]
     if path.quantity == "K":
         return K[:, i, j], np.zeros_like(dY[:, :, i, j])
-    if path.quantity == "T":
-        return T[:, i, j], dT[:, :, i, j]
-    S, dS = float(i == j) - T[:, i, j], -dT[:, :, i, j]
-    if path.quantity == "S":
-        return S, dS
-    if path.quantity == "L":
-        return 1 / S - 1, -dS / S**2
-    KY, dKY = K @ Y, K @ dY
-    if every:  # dG = (dY + G K dY) (I - K Y)^-1
-        inverse = np.linalg.inv(np.eye(len(axes)) - KY)
-        G = Y @ inverse
-        return G[:, i, j], ((dY + G @ dKY) @ inverse)[:, :, i, j]
-    s, ds = 1 - KY[:, i, i], -dKY[:, :, i, i]
+
+    # one entry of a product is a row times a column: of K Y at the current, of Y K at the sensor
+    def row_of_K(column: np.ndarray) -> np.ndarray:
+        return np.asarray((K[:, i] * column).sum(axis=-1))
+
+    if path.quantity in {"S", "T", "L"}:
+        if path.at == CURRENT:
+            T, dT = row_of_K(Y[..., j]), row_of_K(dY[..., j])
+        else:
+            T, dT = ((rows[..., i, :] * K[:, :, j]).sum(axis=-1) for rows in (Y, dY))
+        if path.quantity == "T":
+            return T, dT
+        S, dS = float(i == j) - T, -dT
+        return (S, dS) if path.quantity == "S" else (1 / S - 1, -dS / S**2)
+    if every:  # G = Y (I - K Y)^-1, dG = (dY + G K dY) (I - K Y)^-1
+        inverse = np.linalg.inv(np.eye(len(axes)) - K @ Y)
+        row = (Y[:, i, None] @ inverse)[:, 0]
+        moved = (dY @ inverse[:, :, j, None])[..., 0]
+        through = (row[:, None] @ K)[:, 0]
+        return row[:, j], moved[..., i] + (through * moved).sum(axis=-1)
+    s, ds = 1 - row_of_K(Y[..., i]), -row_of_K(dY[..., i])
     return Y[:, i, i] / s, dY[:, :, i, i] / s - Y[:, i, i] * ds / s**2
 
 

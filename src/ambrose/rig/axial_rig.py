@@ -37,6 +37,7 @@ from ambrose.rig.engine.controller import (
 )
 from ambrose.rig.engine.inputs import Plan, plan
 from ambrose.rig.engine.record import Lift, Recorder, within_bounds
+from ambrose.rig.engine.state import in_rows
 from ambrose.rig.linear import waveforms, without_power
 from ambrose.rig.scenario import LEVITATED, Scenario
 from ambrose.rig.trace import Trace
@@ -259,23 +260,19 @@ def build(
         h,
         np.exp(-h * lag),
     ]
-    return AxialRig(
-        machine,
-        point,
-        Constants(
-            np.array(body),
-            np.array(rows),
-            weight,
-            decay,
-            weight * decay**2,
-            _shares(weight, decay),
-            np.array(amplifier.parameters(drive, part.max_current)),
-            np.array(sensor.parameters(machine.sensor_pairs[0], 0)),
-            steps,
-            at.load,
-        ),
-        body[0],
+    values = Constants(
+        np.array(body),
+        np.array(rows),
+        weight,
+        decay,
+        weight * decay**2,
+        _shares(weight, decay),
+        np.array(amplifier.parameters(drive, part.max_current)),
+        np.array(sensor.parameters(machine.sensor_pairs[0], 0)),
+        steps,
+        at.load,
     )
+    return AxialRig(machine, point, in_rows(values), body[0])
 
 
 def _shares(weight: np.ndarray, decay: np.ndarray) -> np.ndarray:
@@ -357,7 +354,7 @@ def driven(task: Plan, first: int, count: int) -> Driven:
 
     def held(kind: str) -> np.ndarray:
         found = rows.get(f"{kind}_{axis}")
-        return np.zeros((1, count)) if found is None else np.ascontiguousarray(found[:1])
+        return np.zeros((1, count)) if found is None else found[:1]
 
     powered = np.ones((1, count))
     for failure in scenario.failures:
@@ -367,17 +364,18 @@ def driven(task: Plan, first: int, count: int) -> Driven:
     pushed = rows.get(f"f_{axis}")
     force_rows = np.zeros((4, count)) if pushed is None else pushed
     speed = np.full(count + 1, rig.point.speed)
-    return Driven(
+    driven = Driven(
         speed,
         held("e"),
         held("r"),
         held("d"),
         noise,
         powered,
-        np.ascontiguousarray(force_rows),
-        np.ascontiguousarray(speed[:-1, None]),
+        force_rows,
+        speed[:-1, None],
         np.zeros(count),
     )
+    return in_rows(driven)
 
 
 def recorded(task: Plan, drive: Driven) -> Recorded:

@@ -15,10 +15,11 @@ from ambrose.annexes.workbench.blocks import Refusal
 from ambrose.annexes.workbench.desk import Desk
 from ambrose.annexes.workbench.project import Project, begin
 from ambrose.annexes.workbench.screens import answer
+from ambrose.annexes.workbench.screens.machine import _CELLS
 from ambrose.annexes.workbench.svg import svg
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.file.toml import bundled_machines, load_machine
-from ambrose.machine.file.update import fields_of
+from ambrose.machine.file.toml import bundled_machines, load_machine, loads_machine
+from ambrose.machine.file.update import fields_of, rows_of, with_rows
 from ambrose.machine.kinds import Quantity
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -96,20 +97,29 @@ def keep(project, stamp, rows, action="rows"):
 
 @pytest.mark.parametrize("name", [*bundled_machines()])
 def test_a_grid_gives_back_its_file_and_of_a_changed_cell_that_cell_alone(tmp_path, name):
-    project = Project(tmp_path)
-    begin(project, name)
-    before = project.machine.read_text("utf-8")
-    stamp, rows = grid(project)
-    keep(project, stamp, rows)
-    assert project.machine.read_text("utf-8") == before
+    begin(Project(tmp_path), name)
+    before = Project(tmp_path).machine.read_text("utf-8")
+    rows = rows_of(before, _CELLS)
+    assert with_rows(before, rows, _CELLS) == (before, {})
     rows["shaft"][0]["outer_diameter"] = f"{1.25 * float(rows['shaft'][0]['outer_diameter']):.6g}"
-    keep(project, stamp, rows)
-    after = project.machine.read_text("utf-8")
+    after, faults = with_rows(before, rows, _CELLS)
     changed = [pair for pair in zip(before.splitlines(), after.splitlines(), strict=True)]
     assert [pair[0].split()[0] for pair in changed if pair[0] != pair[1]] == ["outer_diameter"]
-    old, new = tomllib.loads(before), load_machine(project.machine)
+    old, new = tomllib.loads(before), loads_machine(after, name)
     expected = 1.25 * Quantity("length").read(old["shaft"][0]["outer_diameter"])
-    assert new.shaft[0].outer_diameter == pytest.approx(expected, rel=1e-5)
+    assert new.shaft[0].outer_diameter == pytest.approx(expected, rel=1e-5) and not faults
+
+
+def test_a_grid_is_kept_by_the_screen_as_it_stands(project):
+    before = project.machine.read_text("utf-8")
+    stamp, rows = grid(project)
+    assert rows == rows_of(before, _CELLS)
+    keep(project, stamp, rows)
+    assert project.machine.read_text("utf-8") == before
+    rows["shaft"][0]["outer_diameter"] = "31.5"
+    keep(project, stamp, rows)
+    after = project.machine.read_text("utf-8")
+    assert after == with_rows(before, rows, _CELLS)[0] != before
 
 
 SHAFT = """

@@ -148,11 +148,15 @@ class TimedLoop:
         # rows on the state of u(k), u(k-1), ...; and of e(k-1), ..., where e(k) is the loop's input
         commands = [u_now, *state[n + nk : n + nk + old_u].reshape(-1, a, size)]
         waves = [np.zeros((m, size)), *state[n + nk + old_u :].reshape(-1, m, size)]
-        Phi, Gamma, dPhi, dGamma = held_derivative(A, B, dA, dB, dt)
+        rests = {dt, dt - h_u, dt - h_e}  # mostly one
+        held = {rest: held_derivative(A, B, dA, dB, rest) for rest in rests}
+        Phi, Gamma, dPhi, dGamma = held[dt]
 
         # what acts for the rest dt - h of the sample: Gamma(dt - h), and Phi(dt - h) B
-        new_u, dnew_u, edge_u = _newer(A, B[:, :a], dA, dB[:, :, :a], dt - h_u)
-        new_e, dnew_e, edge_e = _newer(A, B[:, a:], dA, dB[:, :, a:], dt - h_e)
+        of_u, of_e = held[dt - h_u], held[dt - h_e]
+        new_u, new_e = of_u[1][:, :a], of_e[1][:, a:]
+        dnew_u, dnew_e = of_u[3][:, :, :a], of_e[3][:, :, a:]
+        edge_u, edge_e = of_u[0] @ B[:, :a], of_e[0] @ B[:, a:]
         split_inputs = Gamma[:, :a], Gamma[:, a:]
 
         zero = np.zeros((n, n))
@@ -213,14 +217,6 @@ class TimedLoop:
             change[:n], push[:n] = rows, pushed
             directions.append(SystemDerivative(change, push, np.zeros_like(C), D))
         return StateSpace(closed, driven, C, D, self.excitations, self.signals, dt), directions
-
-
-def _newer(
-    A: np.ndarray, B: np.ndarray, dA: np.ndarray, dB: np.ndarray, rest: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gamma(rest), its derivatives (q, n, m), and Phi(rest) B, its derivative over ``rest``."""
-    Phi, Gamma, _, dGamma = held_derivative(A, B, dA, dB, rest)
-    return Gamma, dGamma, Phi @ B
 
 
 def timed(inner: LoopModel, computing_delay: float, unknown: Sequence[str]) -> TimedLoop:

@@ -18,7 +18,7 @@ from ambrose.machine.units import meant, suggestion
 from ambrose.model.assemble import seal_poles
 from ambrose.model.effect import joined, reactions
 from ambrose.model.effects import seal, seal_rational
-from ambrose.rig.engine.state import Rig
+from ambrose.rig.engine.state import Rig, in_rows
 from ambrose.rig.linear import directions, sample_of, waveforms, without_power
 from ambrose.rig.scenario import Scenario, sensed
 
@@ -212,7 +212,7 @@ def stretch(plan: Plan, first: int, count: int) -> Drive:
     )
     noise += _spread(rig.constants.mean) @ disturbance
     coefficients, pressure = _seals(plan, first, nodes, speed), plan.measured(first, count)
-    return Drive(
+    drive = Drive(
         dt,
         speed,
         plan.angles(nodes),
@@ -220,7 +220,7 @@ def stretch(plan: Plan, first: int, count: int) -> Drive:
         _mass_inverse(rig, coefficients),
         _reactions(plan, first, nodes, speed),
         _unbalance(plan),
-        np.ascontiguousarray(np.stack([rows[f"f_{rig.port_names[i]}"] for i in forces], axis=1))
+        np.stack([rows[f"f_{rig.port_names[i]}"] for i in forces], axis=1)
         if forces
         else np.zeros((4, 0, count)),
         np.array([divmod(i, 2) for i in forces], dtype=np.int64).reshape(-1, 2),
@@ -228,7 +228,7 @@ def stretch(plan: Plan, first: int, count: int) -> Drive:
         held("e"),
         held("r"),
         disturbance,
-        np.ascontiguousarray(noise),
+        noise,
         pressure,
         np.stack(
             [
@@ -240,6 +240,7 @@ def stretch(plan: Plan, first: int, count: int) -> Drive:
             axis=1,
         ),
     )
+    return in_rows(drive)
 
 
 def _spread(mean: np.ndarray) -> np.ndarray:
@@ -342,7 +343,7 @@ def _reactions(plan: Plan, first: int, nodes: np.ndarray, speed: np.ndarray) -> 
         return plan.rig.constants.reaction[None]
     if steady:
         return row(float(pressure[0]), float(speed[0])).reshape(1, *shape)
-    return np.ascontiguousarray(_over_time(plan, first, len(nodes), row).reshape(-1, *shape))
+    return _over_time(plan, first, len(nodes), row).reshape(-1, *shape)
 
 
 def _coefficients(
@@ -385,10 +386,8 @@ def _mass_inverse(rig: Rig, coefficients: np.ndarray) -> np.ndarray:
         )
         whole = np.einsum("ks,sdi,sdj->kij", middle, rows, rows)
         whole += _attached_mass(rig)
-        return np.ascontiguousarray(np.linalg.inv(np.eye(rows.shape[2]) + whole))
-    return np.ascontiguousarray(
-        np.linalg.inv(np.eye(p) + np.einsum("ks,sp,sq->kpq", middle, shape, shape))
-    )
+        return np.linalg.inv(np.eye(rows.shape[2]) + whole)
+    return np.linalg.inv(np.eye(p) + np.einsum("ks,sp,sq->kpq", middle, shape, shape))
 
 
 def _attached_mass(rig: Rig) -> np.ndarray:
