@@ -306,6 +306,7 @@ def _two_units(name: str, units: Sequence[str]) -> InvalidInput:
 
 
 def _mapped(path: File, columns: ResponseMap) -> Response:
+    """The responses in a file of another program, read through a map. Raises InvalidInput."""
     wanted = []
     for item in columns.paths:
         parts = (item.source, item.gain, item.phase, item.real, item.imag)
@@ -346,6 +347,7 @@ def _mapped(path: File, columns: ResponseMap) -> Response:
 
 
 def _rates(column: Column, variable: Variable) -> np.ndarray:
+    """The frequencies (w,) [rad/s] of a column in any unit of angular rate. Raises InvalidInput."""
     unit = column.unit or variable.unit
     try:
         if not unit:
@@ -357,6 +359,9 @@ def _rates(column: Column, variable: Variable) -> np.ndarray:
 
 
 def _path(item: PathColumns, data: Mapping[str, Variable], omega: np.ndarray) -> Path:
+    """One path, SI, from the columns that ``item`` names in ``data``; omega (w,) [rad/s]. Raises
+    InvalidInput.
+    """
     injected = item.injected or item.read
     empty = Path(item.quantity, item.read, injected, np.ones(1, complex), None, item.at)
     # what the columns themselves state, where the map does not
@@ -366,9 +371,9 @@ def _path(item: PathColumns, data: Mapping[str, Variable], omega: np.ndarray) ->
     if not item.unit and len(stated) > 1:
         raise _two_units(empty.name, stated)
     # what the map says, against a header that may be wrong; else the header
-    own = {column: data[column].unit for column in (item.gain, item.phase) if column}
-    of_gain = item.gain_unit or ("dB" if own.get(item.gain) == "dB" else "abs")
-    of_phase = item.phase_unit or ("rad" if own.get(item.phase) == "rad" else "deg")
+    header = {column: data[column].unit for column in (item.gain, item.phase) if column}
+    of_gain = item.gain_unit or ("dB" if header.get(item.gain) == "dB" else "abs")
+    of_phase = item.phase_unit or ("rad" if header.get(item.phase) == "rad" else "deg")
     item = replace(item, gain_unit=of_gain, phase_unit=of_phase)
     unit = item.unit or next(iter(stated), "")
     name, factor = empty.name, item.sign * unit_factor(item.quantity, unit)
@@ -467,8 +472,8 @@ def _read_hdf5(path: File) -> Response:
 
     with opened(path) as file:
         # one that this package wrote has checksums on its structure
-        own = is_checked(path) and text(file.attrs.get("format", "")) == FORMAT
-        if not own or "frequency" not in file:
+        ours = is_checked(path) and text(file.attrs.get("format", "")) == FORMAT
+        if not ours or "frequency" not in file:
             raise InvalidInput(
                 f"it is not a file of responses (format {FORMAT!r}); give a column map (ambrose "
                 "convert --columns)"

@@ -283,7 +283,9 @@ def _as_strong(
     uncertain: bool,
     progress: Progress,
 ) -> tuple[Synthesis, Weights]:
-    """The controller whose direct gains are the reference's, and its weights."""
+    """The controller whose direct gains are the reference's, and its weights: the file's with the
+    control weight scaled. Raises InvalidInput without a reference.
+    """
     from ambrose.core.checks import invalid
     from ambrose.synthesis.hinf import tune_control_weight
 
@@ -567,6 +569,7 @@ class Tuned(Method):
             if machine.reference is None and self.structure not in BANKS:
                 # known to hold, where the file has no [controller]
                 start = running if isinstance(running, StateSpace) and not running.dt else start
+        # number of an operating point -> the responses that were measured there
         places = placed(plants, self.measured, running)
         result = tune_controller(
             plants,

@@ -220,7 +220,7 @@ _BLOCKS = 8  # of the record
 _FUNCTIONS = 16  # of Laguerre, over which the loop's answers to z are written
 _ROUNDING = 1e-7  # of u's deviation: below it nothing drives the loop from outside
 _LONG = 6.0  # lags over n^(1/3) where the residual is coloured
-_TURNS = 8
+_TURNS = 8  # Newton steps of the instruments' equation, at most
 _LAGS = 12  # of z, in the test whether the residual follows it
 
 
@@ -652,14 +652,19 @@ def estimate(
     reference (n,): what drives the loop from outside. actuator: "lag": first order, "none", or
     "auto": one where it shows.
     """
+    # the record's own scale; z: what drives the loop from outside
     spread, size = float(position.std()), float(drive.std())
     y = (position - position.mean()) / spread
     u = (drive - drive.mean()) / size
     z = outside_part(y, u) if reference is None else _normal(reference)
+
+    # the direct estimate; other: the same with an actuator, where that does not show
     fit, other, white, share = _smallest(y, u, actuator)
     structure, count = fit.structure, fit.structure.plant
     second = None if z is None else solve(fit, y, u, z)
     formal = _direct_covariance(fit)[:count, :count]
+
+    # whether its residual follows the reference (else u), and answering: the other way round
     watched = z if reference is not None and z is not None else u
     stride = _stride(fit)
     chance, followed = _follows_direct(fit, watched, stride)
@@ -667,33 +672,37 @@ def estimate(
     if reference is not None:
         ahead = np.concatenate([watched[_AHEAD_OF * stride :], np.zeros(_AHEAD_OF * stride)])
         answering, _ = follows(fit.counted, fit.jacobian, fit.jacobian, ahead[fit.first :], stride)
+
+    # which of both ways: instruments where the direct way fails its tests and they pass theirs
     way, errors = "direct", fit.errors
     plant = fit.unknowns[:count]
     agree = None if second is None else _agree(fit, second)
     believed = white >= LEVEL and chance >= LEVEL and (agree is None or agree >= _PART)
     exogenous = reference is not None and answering >= ANSWERS
     if not believed and exogenous and second is not None:
-        free = follows(
+        second_follows = follows(
             second.errors[fit.first :],
             fit.jacobian[:, : count + 1],
             second.instruments,
             watched[fit.first :],
             stride,
         )
-        if free[0] >= LEVEL:
+        if second_follows[0] >= LEVEL:
             way, errors = "instruments", second.errors
             plant = second.plant
             formal = second.covariance
-            chance, followed = free
-    settled = [_half(fit, part, y, u, z, way) for part in _halves(len(y))]
-    parts = [unknowns for unknowns, _, _ in settled]
+            chance, followed = second_follows
+
+    # deviations: noise, an actuator that does not show, curvature; the scatter of both halves
+    halves = [_half(fit, part, y, u, z, way) for part in _halves(len(y))]
+    parts = [unknowns for unknowns, _, _ in halves]
     noise = np.sqrt(np.diag(formal))
     curved, tangent = curvature(fit, y, u)
     bend = np.abs(tangent) if curved < _PART else np.zeros(count)
     deviations = np.sqrt(noise**2 + _difference(fit, other) ** 2 + bend**2)
     # the halves part by so many of their own deviations, which may be unequal (a chirp's are)
-    own = np.sqrt(settled[0][1] ** 2 + settled[1][1] ** 2)
-    apart = np.abs(parts[1][:count] - parts[0][:count]) / np.maximum(own, 1e-300)
+    deviation = np.sqrt(halves[0][1] ** 2 + halves[1][1] ** 2)
+    apart = np.abs(parts[1][:count] - parts[0][:count]) / np.maximum(deviation, 1e-300)
     scatter = apart * noise
     larger = np.maximum(deviations, scatter)
     stretch = larger / np.maximum(noise, 1e-300)
@@ -730,11 +739,12 @@ def estimate(
         answering,
         curved,
         bend * scale,
-        fit.converged and all(converged for _, _, converged in settled),
+        fit.converged and all(converged for _, _, converged in halves),
     )
 
 
 def _normal(values: np.ndarray) -> np.ndarray | None:
+    """A signal (n,) of mean 0 and deviation 1; None of one that never changes."""
     size = float(values.std())
     return None if size == 0 else (values - values.mean()) / size
 
