@@ -386,6 +386,9 @@ def _walk(
     known: dict[int, int],
     above: tuple[int, ...],
 ) -> int:
+    """As ``written_below``. after: address of the next instruction in memory; known: functions that
+    were walked, above: those that are being walked.
+    """
     if entry in known:
         return known[entry]
     if entry in above:
@@ -416,9 +419,10 @@ def _walk(
 
 
 def _step(name: str, rest: str) -> _Step:
-    found = _jumps(name, rest) or _moves(name, rest)
-    if found is not None:
-        return found
+    """What an instruction, mnemonic and operands, does to stack and flow. Raises Unwalked."""
+    step = _jumps(name, rest) or _moves(name, rest)
+    if step is not None:
+        return step
     # whatever else writes the stack pointer or the program counter is not followed
     first = rest.split(",", maxsplit=1)[0].strip().rstrip("!")
     writes = not name.startswith(("str", "cmp", "cmn", "tst", "teq", "vstr", "stm", "vstm"))
@@ -428,6 +432,7 @@ def _step(name: str, rest: str) -> _Step:
 
 
 def _jumps(name: str, rest: str) -> _Step | None:
+    """A branch, a call or a return; None for others. Conditional ones also go on behind them."""
     target = _TARGET.search(rest)
     to = int(target[1], 16) if target else None
     if found := _BRANCH.fullmatch(name):
@@ -448,7 +453,7 @@ def _jumps(name: str, rest: str) -> _Step | None:
 
 
 def _moves(name: str, rest: str) -> _Step | None:
-    """What moves the stack pointer by a number that stands in the instruction."""
+    """What moves the stack pointer by a number that stands in the instruction; None for others."""
     listing = rest.startswith(("{", "sp!"))
     if listing and _PUSHED.fullmatch(name):
         return _Step(pushed=_size(rest))
@@ -529,8 +534,8 @@ def build(unit: Unit, processor: Processor, folder: Path, contraction: bool = Fa
         processor.kind, f"{processor.kind}.c"
     )
     free = processor.kind != "host"
-    own = ["driver.c", start, *(["memory.c"] if free else [])]
-    support = [*own, "support.h", *(["stdio.h", "limits.h", "memory.ld"] if free else [])]
+    driver = ["driver.c", start, *(["memory.c"] if free else [])]
+    support = [*driver, "support.h", *(["stdio.h", "limits.h", "memory.ld"] if free else [])]
     for name, text in unit.files.items():
         (folder / name).write_text(text, encoding="utf-8")
     for name in support:
@@ -541,15 +546,15 @@ def build(unit: Unit, processor: Processor, folder: Path, contraction: bool = Fa
     flags = [*processor.flags, *_BASE, contract, *(_FREE[:2] if free else ())]
     counted = ["-fstack-usage", "-fcallgraph-info=su"] if free else []
     objects = []
-    for name in (*unit.interface.sources, unit.self_test, *own):
-        std = ["-std=gnu99"] if name in own else []
+    for name in (*unit.interface.sources, unit.self_test, *driver):
+        std = ["-std=gnu99"] if name in driver else []
         renamed = ["-Dmain=self_test"] if name == unit.self_test else []
-        made = f"{name.removesuffix('.c')}.o"
+        target = f"{name.removesuffix('.c')}.o"
         _run(
-            [processor.compiler, *flags, *std, *renamed, *counted, "-I.", "-c", name, "-o", made],
+            [processor.compiler, *flags, *std, *renamed, *counted, "-I.", "-c", name, "-o", target],
             folder,
         )
-        objects.append(made)
+        objects.append(target)
     link = [*_FREE[2:], "-Wl,-Map=program.map", "-Wl,--build-id=none"] if free else []
     link += ["-T", "memory.ld"] if processor.kind in _PLACES else []
     last = [processor.library] if free and processor.library else []
@@ -563,6 +568,7 @@ def build(unit: Unit, processor: Processor, folder: Path, contraction: bool = Fa
 def _footprint(
     unit: Unit, processor: Processor, folder: Path, symbols: Mapping[str, int]
 ) -> Footprint:
+    """The footprint of a linked program, by the compiler's tools; symbols: addresses by name."""
     sizes = _run(
         [processor.tool("size"), *(f"{n.removesuffix('.c')}.o" for n in unit.interface.sources)],
         folder,
@@ -578,11 +584,13 @@ def _footprint(
 
 
 def _symbols(processor: Processor, folder: Path) -> dict[str, int]:
+    """The addresses of the program's functions and variables by name."""
     lines = (line.split() for line in _run([processor.tool("nm"), "program"], folder).splitlines())
     return {parts[2]: int(parts[0], 16) for parts in lines if len(parts) == 3}
 
 
 def _symbol_size(processor: Processor, folder: Path, name: str) -> int:
+    """The size [bytes] of a variable of the driver, 0 without it."""
     listed = _run([processor.tool("nm"), "-S", "driver.o"], folder)
     for parts in (line.split() for line in listed.splitlines()):
         if len(parts) == 4 and parts[3] == name:
@@ -722,15 +730,16 @@ class Link:
             bufsize=0,
         )
         self._program = program
+        # when an answer is due, by the clock that ``_watch`` looks at, and whether it was overdue
         self._due, self._late = math.inf, False
         self._over = threading.Event()
         threading.Thread(target=self._watch, daemon=True).start()
         try:
-            if self._asked() != _HELLO:
+            if self._answer_word() != _HELLO:
                 raise InvalidInput(
                     f"the program on {processor.name} does not answer in its byte order"
                 )
-            self.memory = self._asked()
+            self.memory = self._answer_word()
         except BaseException:
             self.close()
             raise
@@ -768,12 +777,12 @@ class Link:
     def self_test(self) -> bool:
         """Whether the self-test that is delivered passes there."""
         self._say(_SELF_TEST)
-        return self._asked() == 0
+        return self._answer_word() == 0
 
     def checksum(self) -> tuple[int, int, str]:
         """CRC of the tables as the program reads them, as it was written, and its identity."""
         self._say(_IDENTITY)
-        found, meant = self._asked(), self._asked()
+        found, meant = self._answer_word(), self._answer_word()
         text = b""
         while not text.endswith(b"\0"):
             text += self._read(1)
@@ -815,12 +824,15 @@ class Link:
         return found
 
     def _say(self, *words: int) -> None:
+        """A request: its number and what it takes, as words."""
         self._write(np.array(words, self._word).tobytes())
 
-    def _asked(self) -> int:
+    def _answer_word(self) -> int:
+        """The next word of an answer."""
         return int(np.frombuffer(self._read(4), self._word)[0])
 
     def _write(self, content: bytes) -> None:
+        """All of it into the program's pipe. Raises InvalidInput where the program ended."""
         stream: Any = self._process.stdin
         self._due = time.monotonic() + _PATIENCE
         try:
@@ -831,6 +843,7 @@ class Link:
             raise InvalidInput(self._ended()) from error
 
     def _read(self, count: int) -> bytes:
+        """So many bytes of its answer. Raises InvalidInput where the program ended."""
         stream: Any = self._process.stdout
         content = b""
         self._due = time.monotonic() + _PATIENCE
@@ -851,6 +864,7 @@ class Link:
                 return
 
     def _ended(self) -> str:
+        """Why the program ended before it answered, in words."""
         runs = self.processor.emulator[0] if self.processor.emulator else "this computer"
         if self._late:
             return (

@@ -93,6 +93,7 @@ def integer_table(x: np.ndarray) -> str:
 
 
 def _initialiser(x: np.ndarray, form: Callable[[float], str], indent: str = "    ") -> str:
+    """An array of any shape in nested braces, each number as ``form`` writes it."""
     if x.ndim > 1:
         rows = ",\n".join(f"{indent}{_initialiser(row, form, indent + '    ')}" for row in x)
         return "{\n" + rows + "\n" + indent[4:] + "}"
@@ -607,6 +608,9 @@ def _tables(
 
 
 def _scheduled_tables(block: ScheduledBlock, arithmetic: str) -> dict[str, Any]:
+    """The tables of a schedule over its grid; nr, nq: ranks of what changes between grid points in
+    the states and in the outputs.
+    """
     tables, (nr, nq) = _tables(block, real_table(arithmetic)), block.changes.ranks
     law = {name: tables[name] for name in ("B", "C", "D", "diagonals")}
     return {
@@ -669,6 +673,7 @@ def _output_rows(block: Block, error: np.ndarray) -> list[dict[str, str]]:
 
 
 def _formats(fixed: Words) -> list[dict[str, str]]:
+    """The report's table of rows: fraction bits, and the sum of the coefficients' sizes."""
     return [
         {"name": name, "bits": str(f), "total": f"{np.abs(row * np.exp2(-f)).sum():.3g}"}
         for names, matrix, bits in fixed.formats()
@@ -677,6 +682,7 @@ def _formats(fixed: Words) -> list[dict[str, str]]:
 
 
 def _scheduled_report(block: ScheduledBlock, run: Vectors) -> dict[str, Any]:
+    """The report's tables of a schedule: outputs, and at every grid point the poles."""
     points = []
     for value, E, B, C, D, L in zip(
         grid_points(block.axes),
@@ -687,6 +693,7 @@ def _scheduled_report(block: ScheduledBlock, run: Vectors) -> dict[str, Any]:
         block.unwind,
         strict=True,
     ):
+        # poles of the law, and while every current is limited: A - L C with the unwinding L
         z, led = (1 + np.linalg.eigvals(X) if len(X) else np.zeros(1) for X in (E, E - L @ C))
         distance, at = 1 - np.abs(z), list(zip(np.atleast_1d(value), block.along.each, strict=True))
         points.append(

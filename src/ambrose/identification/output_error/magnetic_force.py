@@ -468,8 +468,7 @@ def _joined(
     # another load than the known one, but for certain: any load is as likely
     P_0 = np.diag(np.append(np.full(len(loads), _NEAR), _CUBIC[1])[seen] ** 2)
     believed = _probability_beyond(a_ls - a_0, P_0 + S) > _RARE
-    even = slice(0, -1)  # all but a_odd
-    chance = _probability_beyond(a_ls[even], S[even, even])
+    chance = _probability_beyond(a_ls[:-1], S[:-1, :-1])  # of loads like that by noise
     if not believed and chance < 2 * scipy.special.ndtr(-_CERTAIN):
         P_0 = np.diag(np.append(np.full(len(loads), _ANY), _CUBIC[1])[seen] ** 2)
         a_0 = np.append(np.zeros(len(loads)), _CUBIC[0])[seen]
@@ -576,13 +575,13 @@ def without_magnets(
         further = magnetic_force(machine, cleaned, controller, task, estimate, force)
         if further is None:
             break
-        small = (np.abs(further.moved) < _SMALL * estimate.standard_deviations).all()
-        if small or not further.believed:
+        small = np.abs(further.moved) < _SMALL * estimate.standard_deviations
+        if small.all() or not further.believed:
             # another fit would give the same, or cannot be trusted: its change is in the interval
             extra = np.sqrt(further.widening + further.moved**2)
             if force is None:
-                widened = result.widened(np.hypot(result.standard_deviations, extra))
-                return None, cleaned, task, widened
+                wide = np.hypot(result.standard_deviations, extra)
+                return None, cleaned, task, result.widened(wide)
             force = replace(force, widening=extra**2)
             break
         rest = further.less(records)
@@ -782,21 +781,13 @@ def _odd_terms(p: tuple[float, ...], axis: str, i: float, x: float) -> np.ndarra
     has beyond its tangent up to currents i [A] and displacements x [m]; p: ``magnet.parameters``.
     The tangent is exact: fitted as well, it would take a part of the fifth order, and k_s with it.
     """
-    # force on a grid of (i, x), p[6] and p[9] the magnetic centres of zeta and eta [m]
-    way = int(axis.endswith("_eta"))
-    at, centre = np.linspace(-1.0, 1.0, _GRID), (p[6], p[9])
-    tangent = slopes(p, (0.0, 0.0), centre)
-    beyond = np.zeros((_GRID, _GRID))
-    for j, current in enumerate(i * at):
-        for k, shift in enumerate(x * at):
-            currents, place = [0.0, 0.0], list(centre)
-            currents[way], place[way] = current, centre[way] + shift
-            beyond[j, k] = magnet.force(currents[0], currents[1], place[0], place[1], p)[way] - (
-                tangent.force_per_current[way] * current + tangent.negative_stiffness[way] * shift
-            )
-    basis = np.stack([at[:, None] ** m * at[None] ** n for m, n in _ODD], axis=-1)
-    fitted = np.linalg.lstsq(basis.reshape(-1, len(_ODD)), beyond.ravel())[0]
-    return np.asarray(fitted / i ** _ODD[:, 0] / x ** _ODD[:, 1])
+    way, at = int(axis.endswith("_eta")), np.linspace(-1.0, 1.0, _GRID)
+    tangent = slopes(p, (0.0, 0.0), (p[6], p[9]))
+    beyond = _force_grid(p, axis, 0.0, i, x) - (
+        tangent.force_per_current[way] * (i * at[:, None])
+        + tangent.negative_stiffness[way] * (x * at)
+    )
+    return _fitted(_ODD, beyond, i, x)
 
 
 def _terms(p: tuple[float, ...], axis: str, load: float, i: float, x: float) -> np.ndarray:
@@ -804,18 +795,28 @@ def _terms(p: tuple[float, ...], axis: str, load: float, i: float, x: float) -> 
     currents i [A] and displacements x [m]; p: ``magnet.parameters``. Those of second order are q of
     (1) at the load L.
     """
-    # force on a grid of (i, x), p[6] and p[9] the magnetic centres of zeta and eta [m]
-    second = axis.endswith("_eta")
-    at = np.linspace(-1.0, 1.0, _GRID)
+    return _fitted(_POWERS, _force_grid(p, axis, load, i, x), i, x)
+
+
+def _force_grid(p: tuple[float, ...], axis: str, load: float, i: float, x: float) -> np.ndarray:
+    """Force (7, 7) [N] of an axis at currents load +- i [A] and places +- x [m] off its magnetic
+    centre, p[6] of zeta and p[9] of eta.
+    """
+    way, at = int(axis.endswith("_eta")), np.linspace(-1.0, 1.0, _GRID)
     force = np.zeros((_GRID, _GRID))
     for j, current in enumerate(load + i * at):
-        for k, shift in enumerate(p[9 if second else 6] + x * at):
-            zeta, eta = ((0.0, 0.0), (current, shift)) if second else ((current, shift), (0.0, 0.0))
-            force[j, k] = magnet.force(zeta[0], eta[0], zeta[1], eta[1], p)[second]
+        for k, place in enumerate((p[6], p[9])[way] + x * at):
+            i_zeta, i_eta = (0.0, current) if way else (current, 0.0)
+            zeta, eta = (0.0, place) if way else (place, 0.0)
+            force[j, k] = magnet.force(i_zeta, i_eta, zeta, eta, p)[way]
+    return force
 
-    # in units of the largest i and x, so that the columns are of one size
-    basis = np.stack([at[:, None] ** m * at[None] ** n for m, n in _POWERS], axis=-1).reshape(
-        -1, len(_POWERS)
-    )
-    fitted = np.linalg.lstsq(basis, force.ravel())[0]
-    return np.asarray(fitted / i ** _POWERS[:, 0] / x ** _POWERS[:, 1])
+
+def _fitted(powers: np.ndarray, force: np.ndarray, i: float, x: float) -> np.ndarray:
+    """Coefficients (t,) of i^m x^n, (m, n) the rows of ``powers`` (t, 2), by least squares from a
+    force (7, 7) on the grid of ``_force_grid``; fitted in units of i and x, of one size.
+    """
+    at = np.linspace(-1.0, 1.0, _GRID)
+    basis = np.stack([at[:, None] ** m * at[None] ** n for m, n in powers], axis=-1)
+    terms = np.linalg.lstsq(basis.reshape(-1, len(powers)), force.ravel())[0]
+    return np.asarray(terms / i ** powers[:, 0] / x ** powers[:, 1])
