@@ -73,7 +73,7 @@ def blocks(request):
     return both(request.param)
 
 
-def test_sections_run_as_the_modal_form(blocks):
+def test_1_and_3_sections_run_as_the_modal_form(blocks):
     """Limits, anti-windup and transfer included; the bounds hold and are no guess."""
     block, modal = blocks
     e, valid = driver.adversarial(modal, 3000)
@@ -86,7 +86,7 @@ def test_sections_run_as_the_modal_form(blocks):
     assert (block.raw_limit <= modal.raw_limit * 1.0001).all()
 
 
-def test_sections_against_scipy():
+def test_1_sections_against_scipy():
     """A chain of Tustin's sections in coefficients of 1/z, as scipy filters them, errors small
     enough for no limit.
     """
@@ -107,7 +107,7 @@ def test_sections_against_scipy():
     assert np.abs(run_of(block, e).currents[:, 0] - 20e3 * y).max() <= 1e-9 * np.abs(20e3 * y).max()
 
 
-def test_prewarping_reaches_the_sections():
+def test_2_prewarping_reaches_the_sections():
     block, modal = both(prewarp=HZ * 210)
     plain, _ = both()
     e = np.zeros((50, 4))
@@ -213,7 +213,7 @@ def test_law_read_back_and_transfer(blocks, arithmetic, digits):
 
 @pytest.mark.parametrize("coordinates", ["axes", "tilt-translate"])
 @pytest.mark.parametrize(("word", "error"), [(32, 0.5e-3), (16, 1e-5)])
-def test_rounding_is_predicted(coordinates, word, error):
+def test_6_rounding_is_predicted(coordinates, word, error):
     """Noise within 12 % of its prediction, and the bound holds; compared is the law of the rounded
     numbers.
     """
@@ -495,7 +495,7 @@ def test_4_the_law_of_whole_numbers_and_its_distance(blocks):
     assert fixed.gain_error == pytest.approx(response_error(exact, rounded, 0.1), rel=1e-6)
 
 
-def test_energy_of_errors_that_are_made_good_a_sample_later():
+def test_5_energy_of_errors_that_are_made_good_a_sample_later():
     """An error of one unit at a channel's input, taken back at the next sample: the sum of squares
     of what it does to the currents, sample by sample.
     """

@@ -145,7 +145,7 @@ def test_nothing_is_taken_out_of_linear_magnets():
     assert (found.result.standard_deviations >= linear.standard_deviations).all()
 
 
-def test_amplitudes_are_joined_as_in_closed_form():
+def test_5_amplitudes_are_joined_as_in_closed_form():
     """Two independent amplitudes: means weighted by the inverse variances; one without a signal
     stays zero and adds nothing.
     """
@@ -171,7 +171,7 @@ def test_amplitudes_are_joined_as_in_closed_form():
     assert not believed
 
 
-def test_terms_are_the_derivatives_of_the_force():
+def test_1_terms_are_the_derivatives_of_the_force():
     """Without iron: f = c ((i_0 + i)^2/(s_0 - x)^2 - (i_0 - i)^2/(s_0 + x)^2), its Taylor terms
     about a load.
     """
@@ -186,7 +186,7 @@ def test_terms_are_the_derivatives_of_the_force():
     )
 
 
-def test_odd_terms_are_all_that_the_force_has_beyond_its_tangent():
+def test_1_odd_terms_are_all_that_the_force_has_beyond_its_tangent():
     """A fifth of the gap off: what cubic terms alone leave is a tenth of them, and k_s beside."""
     p = magnet.parameters(replace(RIG.bearings[0], iron=None))
     i_0, _, _, _, c, s_0, *_ = p

@@ -16,7 +16,30 @@ differ by rounding alone (Middleton & Goodwin 1990, ch. 10). Sections are sample
 Limits, anti-windup and transfer are those of the same law in modal form z (block/block.py), x = T z
 in these states. With the slow modes bounded by the anti-windup, a signal row (e, x) is at most
 
-    HEADROOM peak gain of the fast modes alone + |row T_slow| bound_slow                    (3)
+    HEADROOM times the peak gain of the fast modes alone + |row T_slow| bound_slow          (3)
+
+In whole numbers every signal is a part of its largest value, and no bit of an increment is lost.
+Words, rows and sums are those of block/fixed_point.py, with a range for every channel's input,
+section's output and state: its bound (3) (peak gains, Jackson 1970, with the anti-windup), so that
+a section's row holds
+
+    theta_ij range_j / range_i,   range_j of v, x1, x2, range_i of y, x1, x2                (4)
+
+Signals saturate there all the same. What a shift cuts off a channel's input or a state's
+increment is kept for the next sample (fraction saving), so that rounding never adds up in an
+integrator: an error w of one sample that the next makes good reaches the currents by
+
+    H(z) (1 - 1/z) = D (1 - 1/z) + (C B + C (z - A)^-1 (A - I) B)/z                         (5)
+
+Two errors are told apart. Rounded coefficients are another law, compared by its response.
+Rounding while it runs comes from known places: signals, and the words in which states are read;
+each is followed to the currents by its peak gain (the bound) and by its energy (the noise
+expected: independent errors within +-h of the variance h^2/3, h = 2^-s/2 of a range, for signals
+that move by more than a bit),
+
+    error = sum of h peak gain,   noise^2 = sum of h^2/3 sum_k |impulse response_k|^2        (6)
+
+Tests by these numbers: tests/code/c/test_cascade.py.
 """
 
 from __future__ import annotations
@@ -425,30 +448,6 @@ def _signal_rows(block: ControlBlock, into: np.ndarray, stages: Sequence[Stage])
         rows.append(at[stage.channel].copy())
         i += stage.order
     return np.array(rows)
-
-
-# A filter bank in whole numbers: every signal in parts of its own largest value, no bit of an
-# increment lost.
-#
-# Words, rows and sums are those of block/fixed_point.py, with a range for every channel's input,
-# section's output and state: its bound (3) (peak gains, Jackson 1970, with the anti-windup), so
-# that a section's row holds
-#
-#     theta_ij range_j / range_i,   range of v, x1, x2 over that of y, x1, x2.                  (4)
-#
-# Signals saturate there all the same. What a shift cuts off a channel's input or a state's
-# increment is kept for the next sample (fraction saving), so that rounding never adds up in an
-# integrator: an error w of one sample that the next makes good reaches the currents by
-#
-#     H(z) (1 - 1/z) = D (1 - 1/z) + (C B + C (z - A)^-1 (A - I) B)/z.                          (5)
-#
-# Two errors are told apart. Rounded coefficients are another law, compared by its response.
-# Rounding while it runs comes from known places: signals, and the words in which states are read;
-# each is followed to the currents by its peak gain (the bound) and by its energy (the noise
-# expected: independent errors within +-h of the variance h^2/3, h = 2^-s/2 of a range, for signals
-# that move by more than a bit),
-#
-#     error = sum of h peak gain,   noise^2 = sum of h^2/3 sum_k |impulse response_k|^2.         (6)
 
 
 # of the response by rounded coefficients, a tenth of a decibel; where the response is below a tenth

@@ -27,9 +27,23 @@ loads as recorded mean currents or the file's weight say, to within a tenth of t
 load, where a record is certain of another); a_odd = 1 to within a half, from none to twice the
 file's in two standard deviations (it goes with the square of gap and bias; iron takes from it).
 What stays unknown, X P X', widens the parameters' intervals. What turns with the rotor is no answer
-to an excitation: with the hold h of the controller's output its coil currents are
+to an excitation: with the hold of the controller's output its coil currents are
 
-    i = -G_iu(jw) K(e^(jw dt)) h(jw) y,   h = e^(-jw dt/2) sinc(w dt/2)                     (6)
+    i = -G_iu(jw) K(e^(jw dt)) hold(jw) y,   hold = e^(-jw dt/2) sinc(w dt/2)               (6)
+
+The magnets of a thrust bearing are solved further. Currents i and displacements x of the linear
+loop drive both circuits about the working point; what their force has beyond its linear part passes
+the loop, which moves i and x, and so on until nothing changes. With flux phi = phi_0 + d, coil
+current I_0 + i and G(phi, g) = rho g phi + R_f phi phi_s/(phi_s - phi), the ampere-turns that a
+flux takes at once (``model.axial``):
+
+    (R + c sqrt(s)) d = N i - (G(phi, g - x) - G(phi_0, g) - R d),    R = dG/dphi at rest,  (7)
+    F - F_0 - F_linear = rho (d^2/2 + phi_0 (d - d_linear))                                 (8)
+
+(7) is solved by substitution: the bracket is of second order; h = R/(R + c sqrt(s)) is the core's
+lag at the working point.
+
+Tests by these numbers: tests/identification/output_error/test_magnetic_force.py.
 """
 
 from __future__ import annotations
@@ -79,20 +93,6 @@ from ambrose.model.effects.magnet import slopes, with_coefficients
 from ambrose.model.plant import Plant
 from ambrose.model.static_load import magnet_coefficients, operating_magnets
 from ambrose.record.record import Record
-
-# What a thrust bearing's magnets make of a record beyond their linear force, as the loop answers.
-#
-# Currents i and displacements x of the linear loop drive both magnets' circuits about the working
-# point; what their force has beyond its linear part passes the loop, which moves i and x, and so on
-# until nothing changes. With flux phi = phi_0 + d, coil current I_0 + i and G(phi, g) = rho g phi +
-# R_f phi phi_s/(phi_s - phi), the ampere-turns that a flux takes at once (``model.axial``):
-#
-#     (R + c sqrt(s)) d = N i - (G(phi, g - x) - G(phi_0, g) - R d),    R = dG/dphi at rest,     (7)
-#     F - F_0 - F_linear = rho (d^2/2 + phi_0 (d - d_linear)).                                   (8)
-#
-# (7) is solved by substitution: the bracket is of second order; h = R/(R + c sqrt(s)) is the core's
-# lag at the working point.
-
 
 _ROUNDS = 4  # of the flux, and of the loop: each is smaller by the share that is nonlinear
 _FULL = 0.999  # of the flux limit, at which the flux is held: the linear loop knows none

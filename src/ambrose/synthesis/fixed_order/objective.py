@@ -25,6 +25,8 @@ The slopes of all channels are added up in one matrix per frequency, df = Re tr(
 |T|_F / sqrt(c) <= sigma_max <= |T|_F and sum sigma^p <= |T|_F^p                            (12).
 Poles of a plant's modes above half the sample rate (core/aliasing.py) stand in w at frequencies
 that are not theirs: they must be stable and have no damping ratio there.
+
+Tests by these numbers: tests/synthesis/fixed_order/test_objective.py.
 """
 
 from __future__ import annotations
