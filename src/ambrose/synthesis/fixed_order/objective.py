@@ -379,7 +379,7 @@ class Objective:
             default=0.0,
         )
 
-        # Settling, (5): |y| over its band, to the power 0.4 as a ratio.
+        # Settling: |y| over its band, to the power 0.4 as the ratio of (5).
         timed = None
         if settling is not None and len(kept.slow):
             if self._peak is None:  # everything counts
@@ -573,8 +573,9 @@ class Objective:
 
     def _fenced(self, theta: np.ndarray, clear: float = 0.0) -> tuple[float, np.ndarray]:
         """The barrier (10) and its slope by Theta, whose last block is A; 0 without a fence."""
-        value, by_theta, a = 0.0, np.zeros_like(theta), self._G.shape[-1]
+        value, by_theta = 0.0, np.zeros_like(theta)
         if self.fence is not None:
+            a = self._G.shape[-1]
             value, by_theta[a:, a:] = _barrier(theta[a:, a:], self.fence, clear)
         return value, by_theta
 
