@@ -1,5 +1,5 @@
 """The equations of synthesis/fixed_order/objective.py by their numbers, on two masses on springs,
-beside sums and derivatives of our own. (3) and (12): test_tuning.py.
+beside sums and derivatives of our own. (3): test_tuning.py.
 """
 
 from __future__ import annotations
@@ -180,6 +180,19 @@ def test_10_the_barrier_at_the_fence(clear):
     change = _barrier(matrix + step, fence, clear)[0] - _barrier(matrix - step, fence, clear)[0]
     assert change / 2 == pytest.approx((slope * step).sum(), rel=1e-5)
     assert _barrier(matrix, 8.9, clear)[0] == np.inf
+
+
+def test_12_what_a_narrowing_leaves_out():
+    """All terms give f; those without their exact value, of small matrices, are nothing beside."""
+    cost, x = objective()
+    theta = cost.structure.theta(x)
+    everything = cost(x, 40)[0]
+    shares, f = cost._shares(x, 40, cost._read(theta))
+    assert f == pytest.approx(everything, abs=1e-9) and f <= everything + 1e-14
+    assert (shares[0] == 0).any() and (shares[0] > 0).any()
+    assert cost.narrow(x, 40)
+    assert cost._active.omega.size < OMEGA.size
+    assert everything - 1e-8 < cost(x, 40)[0] <= everything
 
 
 def test_11_the_soft_maximum_of_real_parts():

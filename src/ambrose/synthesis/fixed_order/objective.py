@@ -267,36 +267,7 @@ class Objective:
             self._follow_all, self._followed = True, self._stacks
             self._masks = None
             return False
-        channels, settling = self._parts()
-        S, Q, H = self._closed(x)
-
-        # top: a lower bound of the largest ratio, by (12); all powers are of ratio / top.
-        loops = [channel.response(S, Q) for channel in channels]
-        norms = [frobenius(T) for T in loops]
-        damping = self._damping_ratios(poles, self._stacks)
-        top = max(
-            float(norm.max(initial=0.0)) / np.sqrt(T.shape[-1])
-            for norm, T in zip(norms, loops, strict=True)
-        )
-        top = max(top, *(float(ratio.max()) for ratio in damping))
-        late = np.zeros((0, 0, 0, 0))
-        if settling is not None:
-            late, _, _, self._peak = settling.ratios(H[:, settling.at].swapaxes(0, 1), self._peak)
-            late = late**SETTLING_POWER
-            top = max(top, float(late.max()))
-
-        # shares: every term (ratio / top)^p, one array per channel, settling and stack. Matrices
-        # with |T|_F < least have together less than the ignored share, by (12): 0 will do.
-        least = top * (self._ignored / sum(norm.size for norm in norms)) ** (1 / power)
-        shares = []
-        for norm, T in zip(norms, loops, strict=True):
-            large = norm >= least
-            shares.append(np.zeros(norm.shape))
-            shares[-1][large] = schatten(T[large] / top, int(power))[0]
-        if settling is not None:
-            shares.append(((late / top) ** power).sum(axis=(0, 2, 3)))
-        shares += [((ratio / top) ** power).sum(axis=1) for ratio in damping]
-        whole = float(np.log(top) + np.log(sum(float(share.sum()) for share in shares)) / power)
+        shares, whole = self._shares(x, power, poles)
 
         # What the last narrowing left out counts by now: less of it next time.
         if self._left_out(shares) > _GROWN:
@@ -309,10 +280,10 @@ class Objective:
         self._whole = whole
 
         # The pairs of channels and settling that count, and the stacks' models whose poles do.
+        channels, settling = self._parts()
         masks = self._masks = together_below(shares, self._ignored)
-        count = len(channels)
-        slow = np.zeros(0, int) if settling is None else np.flatnonzero(masks[count])
-        self._active = active(self._G, channels, masks[:count], settling, slow)
+        slow = np.zeros(0, int) if settling is None else np.flatnonzero(masks[len(channels)])
+        self._active = active(self._G, channels, masks[: len(channels)], settling, slow)
         if not self._follow_all:
             self._followed = []
             for mask, (places, stack) in zip(masks[-len(poles) :], self._stacks, strict=True):
@@ -320,6 +291,42 @@ class Objective:
                 if len(rows):
                     self._followed.append(([places[i] for i in rows], [M[rows] for M in stack]))
         return True
+
+    def _shares(
+        self, x: np.ndarray, power: float, poles: Sequence[tuple[np.ndarray, np.ndarray]]
+    ) -> tuple[list[np.ndarray], float]:
+        """The terms of the sum in (1) in a common unit, and f of all of them: an array per channel
+        (m, its frequencies), for settling (m,) and per stack (its models); poles as ``_read`` gives
+        them.
+        """
+        channels, settling = self._parts()
+        S, Q, H = self._closed(x)
+
+        # top: a lower bound of the largest ratio, by (12); the unit is top^p
+        loops = [channel.response(S, Q) for channel in channels]
+        norms = [frobenius(T) for T in loops]
+        damping = self._damping_ratios(poles, self._stacks)
+        top = max(
+            *(float(norms[k].max(initial=0.0)) / np.sqrt(T.shape[-1]) for k, T in enumerate(loops)),
+            *(float(ratio.max()) for ratio in damping),
+        )
+        late = np.zeros((0, 0, 0, 0))
+        if settling is not None:
+            late, _, _, self._peak = settling.ratios(H[:, settling.at].swapaxes(0, 1), self._peak)
+            late = late**SETTLING_POWER
+            top = max(top, float(late.max()))
+
+        # matrices with |T|_F < least have together less than the ignored share, by (12): 0 will do
+        least = top * (self._ignored / sum(norm.size for norm in norms)) ** (1 / power)
+        shares = []
+        for norm, T in zip(norms, loops, strict=True):
+            large = norm >= least
+            shares.append(np.zeros(norm.shape))
+            shares[-1][large] = schatten(T[large] / top, int(power))[0]
+        if settling is not None:
+            shares.append(((late / top) ** power).sum(axis=(0, 2, 3)))
+        shares += [((ratio / top) ** power).sum(axis=1) for ratio in damping]
+        return shares, float(np.log(top) + np.log(sum(item.sum() for item in shares)) / power)
 
     def _left_out(self, shares: Sequence[np.ndarray]) -> float:
         """The share of the sum that is not counted since the last ``narrow``."""
