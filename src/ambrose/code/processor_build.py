@@ -97,9 +97,9 @@ def mantissa(compiler: str, flags: tuple[str, ...], kind: str) -> int:
     """Bits of the mantissa of double ("DBL") or float ("FLT") as a compiler has them. Raises
     InvalidInput for a compiler that does not answer.
     """
-    told = _answer([compiler, *flags, "-dM", "-E", "-x", "c", "-"])
-    found = re.search(rf"#define __{kind}_MANT_DIG__ (\d+)", told)
-    return int(found[1]) if found else 0
+    macros = _answer([compiler, *flags, "-dM", "-E", "-x", "c", "-"])
+    bits = re.search(rf"#define __{kind}_MANT_DIG__ (\d+)", macros)
+    return int(bits[1]) if bits else 0
 
 
 def version_of(command: str) -> str:
@@ -435,18 +435,18 @@ def _jumps(name: str, rest: str) -> _Step | None:
     """A branch, a call or a return; None for others. Conditional ones also go on behind them."""
     target = _TARGET.search(rest)
     to = int(target[1], 16) if target else None
-    if found := _BRANCH.fullmatch(name):
+    if match := _BRANCH.fullmatch(name):
         if to is None:
             raise Unwalked(f"{name} {rest}")
-        return _Step(to=to, ends=not (found[1] or found[2]))
+        return _Step(to=to, ends=not (match[1] or match[2]))
     if _CALL.fullmatch(name):
         if to is None:
             raise Unwalked(f"{name} {rest}")
         return _Step(called=to)
-    if found := _LEAVE.fullmatch(name):
+    if match := _LEAVE.fullmatch(name):
         if rest != "lr":
             raise Unwalked(f"{name} {rest}")
-        return _Step(ends=not found[1])
+        return _Step(ends=not match[1])
     if name == "mov" and rest == "pc, lr":
         return _Step(ends=True)
     return None
@@ -457,28 +457,28 @@ def _moves(name: str, rest: str) -> _Step | None:
     listing = rest.startswith(("{", "sp!"))
     if listing and _PUSHED.fullmatch(name):
         return _Step(pushed=_size(rest))
-    if listing and (found := _POPPED.fullmatch(name)):
+    if listing and (match := _POPPED.fullmatch(name)):
         back = bool(re.search(r"\bpc\b", rest))
-        return _Step(pushed=0 if found[2] else -_size(rest), ends=back and not found[2])
+        return _Step(pushed=0 if match[2] else -_size(rest), ends=back and not match[2])
     if _SAVED.fullmatch(name) and (moved := re.search(r"\[sp, #-(\d+)\]!", rest)):
         return _Step(pushed=int(moved[1]))
-    if (found := _LOADED.fullmatch(name)) and (moved := re.search(r"\[sp\], #(\d+)", rest)):
+    if (match := _LOADED.fullmatch(name)) and (moved := re.search(r"\[sp\], #(\d+)", rest)):
         back = rest.startswith("pc,")
-        return _Step(pushed=0 if found[1] else -int(moved[1]), ends=back and not found[1])
-    if (found := _MOVED.fullmatch(name)) and (moved := re.fullmatch(r"sp, (?:sp, )?#(\d+)", rest)):
+        return _Step(pushed=0 if match[1] else -int(moved[1]), ends=back and not match[1])
+    if (match := _MOVED.fullmatch(name)) and (moved := re.fullmatch(r"sp, (?:sp, )?#(\d+)", rest)):
         taken = int(moved[1])
-        if found[1] == "sub":
+        if match[1] == "sub":
             return _Step(pushed=taken)
-        return _Step(pushed=0 if found[2] else -taken)
+        return _Step(pushed=0 if match[2] else -taken)
     return None
 
 
 def _size(listing: str) -> int:
     """Bytes of the registers of a list."""
     total = 0
-    for found in _RANGE.finditer(listing.partition("{")[2]):
-        count = int(found[3]) - int(found[2]) + 1 if found[3] else 1
-        total += count * (8 if found[1] == "d" else 4)
+    for match in _RANGE.finditer(listing.partition("{")[2]):
+        count = int(match[3]) - int(match[2]) + 1 if match[3] else 1
+        total += count * (8 if match[1] == "d" else 4)
     return total
 
 
@@ -782,24 +782,24 @@ class Link:
     def checksum(self) -> tuple[int, int, str]:
         """CRC of the tables as the program reads them, as it was written, and its identity."""
         self._say(_IDENTITY)
-        found, meant = self._answer_word(), self._answer_word()
+        computed, written = self._answer_word(), self._answer_word()
         text = b""
         while not text.endswith(b"\0"):
             text += self._read(1)
-        return found, meant, text[:-1].decode("ascii", "replace")
+        return computed, written, text[:-1].decode("ascii", "replace")
 
     def steps(self, samples: np.ndarray, *, watching: bool = True) -> np.ndarray:
         """Answers (k,) to samples (k,), as ``Unit.given`` and ``answered`` have them; watching: how
         deep the stack is written (slow).
         """
-        found = []
+        answers = []
         what = _STEPS if watching and self._log is None else _STEPS_ALONE
         for i in range(0, len(samples), _AT_ONCE):
             part = samples[i : i + _AT_ONCE].astype(self.given)
             self._say(what, len(part))
             self._write(part.tobytes())
-            found.append(self._read(len(part) * self.answered.itemsize))
-        return np.frombuffer(b"".join(found), self.answered)
+            answers.append(self._read(len(part) * self.answered.itemsize))
+        return np.frombuffer(b"".join(answers), self.answered)
 
     def set_states(self, states: np.ndarray) -> None:
         """The states (n,) as numbers of the code."""
@@ -811,17 +811,17 @@ class Link:
         if self._log is None:
             return []
         begin, end = (self._program.symbols[name] for name in ("counting", "counted"))
-        found = []
+        counts = []
         count, within = 0, False
         for at in _traced(self._log):
             if at == begin:
                 count, within = 0, True
             elif at == end and within:
-                found.append(count)
+                counts.append(count)
                 within = False
             elif within:
                 count += 1
-        return found
+        return counts
 
     def _say(self, *words: int) -> None:
         """A request: its number and what it takes, as words."""
@@ -883,9 +883,9 @@ def _traced(path: Path) -> Iterator[int]:
     """The addresses of the instructions in an emulator's log, in their order."""
     with path.open("rb") as lines:
         for line in lines:
-            found = _PC.match(line)
-            if found:
-                yield int(found[1], 16)
+            match = _PC.match(line)
+            if match:
+                yield int(match[1], 16)
 
 
 SAMPLES = 1000  # that the example runs on its emulated board
@@ -915,8 +915,8 @@ def bare_metal_files(law: AnyLaw, arithmetic: Arithmetic) -> dict[str, str]:
     if isinstance(base, SupervisedBlock):  # no monitor beside it
         told += [{"name": name, "value": number(-1.0)} for name in ("estimate", "half_width")]
     delay = base.delay
-    given = "".join(f"from->{one.name}, " for one in unit.interface.arguments if one.given)
-    call = f"{unit.step}(&controller, {given}current[k % SETS])"
+    arguments = "".join(f"from->{one.name}, " for one in unit.interface.arguments if one.given)
+    call = f"{unit.step}(&controller, {arguments}current[k % SETS])"
     facts: dict[str, Any] = {
         **unit.driver_facts(),
         "step": call,

@@ -328,9 +328,9 @@ def _findings(record: Record, machine: Machine | None) -> Iterator[Finding]:
                 f"it has {', '.join(machine.axes)}",
                 "rename the signals, or give the machine that was recorded",
             )
-        found = signal_findings(machine, record, 1, excited="")
-        yield from found
-        if not unknown and not any(item.severity == ERROR for item in found):
+        of_signals = signal_findings(machine, record, 1, excited="")
+        yield from of_signals
+        if not unknown and not any(item.severity == ERROR for item in of_signals):
             yield from machine_findings(machine, record)
     measured = {
         name: record[name] for name in record.signals if name.partition("_")[0] in _MEASURED

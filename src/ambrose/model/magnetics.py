@@ -508,11 +508,11 @@ def bias_linearisation(
     random = np.random.default_rng(seed)
     best, k = None, 0.0
     for _ in range(starts):
-        found = least_squares(small, random.standard_normal(3 * len(kept)), max_nfev=100)
-        found = least_squares(missing, found.x, xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=200)
-        if np.abs(found.fun).max() > 1e-9:
+        fit = least_squares(small, random.standard_normal(3 * len(kept)), max_nfev=100)
+        fit = least_squares(missing, fit.x, xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=200)
+        if np.abs(fit.fun).max() > 1e-9:
             continue
-        W = found.x.reshape(len(kept), 3)
+        W = fit.x.reshape(len(kept), 3)
         # columns may be scaled apart: W diag(a, b, b) makes k a b; the largest entries become 1
         a, b = np.abs(W[:, 0]).max(), np.abs(W[:, 1:]).max()
         if size / (a * b) > k:

@@ -246,7 +246,7 @@ def _own_map(path: File) -> ResponseMap:
         re.fullmatch(r"\s*\"?([^\[\"]*?)\s*(?:\[([^\]]*)\])?\"?\s*", c) for c in head.split(",")
     ]
     names = [("", "") if cell is None else (cell[1], cell[2] or "") for cell in cells]
-    found: dict[tuple[str, ...], dict[str, Any]] = {}
+    by_path: dict[tuple[str, ...], dict[str, Any]] = {}
     for name, unit in names[1:]:
         match = _COLUMN.fullmatch(name)
         if match is None:
@@ -256,7 +256,7 @@ def _own_map(path: File) -> ResponseMap:
                 f" {', '.join(_PARTS)}), or give a column map (ambrose convert --columns)"
             )
         quantity, read, injected, at, part = match.groups()
-        known = found.setdefault(
+        known = by_path.setdefault(
             (quantity, read, injected or read, at or SENSOR), {"averages": averages}
         )
         if part in known:
@@ -272,7 +272,7 @@ def _own_map(path: File) -> ResponseMap:
             raise _two_units(name, [known["unit"], unit])
     paths = [
         PathColumns(quantity=q, read=i, injected=j, at=at, **columns)
-        for (q, i, j, at), columns in found.items()
+        for (q, i, j, at), columns in by_path.items()
     ]
     column = Column(name="frequency", source=names[0][0], unit=names[0][1])
     return ResponseMap(said["machine"], point, tuple(paths), column, said.get("date", ""), rate)
@@ -324,8 +324,8 @@ def _mapped(path: File, columns: ResponseMap) -> Response:
     if path.suffix.lower() in _PLAIN:
         data = dict(zip(names, read_variables(path, names), strict=True))
     else:  # others in a process apart, whose numbers are gone after the block
-        with variables_of(path, names) as found:
-            copies = [replace(variable, values=np.array(variable.values)) for variable in found]
+        with variables_of(path, names) as variables:
+            copies = [replace(variable, values=np.array(variable.values)) for variable in variables]
         data = dict(zip(names, copies, strict=True))
     sizes = {name: len(variable.values) for name, variable in data.items()}
     if len(set(sizes.values())) > 1:

@@ -385,12 +385,12 @@ def with_blocks(
         name = f"synchronous.{k}"
         words = f", {item.label} on"
         progress(f"unbalance response with the {item.label}")
-        found = [*_unbalance(item, off, loop_at, speeds, scale, through, words)]
+        block_rows = [*_unbalance(item, off, loop_at, speeds, scale, through, words)]
         try:
-            found += _judged(item, words, progress)
+            block_rows += _judged(item, words, progress)
         except InvalidInput as error:
-            found.append(_undone("stability", f"{item.label}: {error}"))
-        yield from (replace(row, name=f"{name}.{row.name}") for row in found)
+            block_rows.append(_undone("stability", f"{item.label}: {error}"))
+        yield from (replace(row, name=f"{name}.{row.name}") for row in block_rows)
 
 
 def _undone(name: str, why: str) -> Item:
@@ -666,7 +666,7 @@ def lateral(
     largest = 1e6 * reading.peak_to_peak  # [um]
     uncapped = limit / largest if largest else math.inf
     scale = (max(1.0, min(standard.LARGEST_SCALE, uncapped)), uncapped)
-    found = rubs(response, scale[0])
+    at_clearances = rubs(response, scale[0])
     budgets = phase_budgets(at_top, timing)
     progress("Level I")
     one, why, notes = _level_one(machine, layout, chosen, law, timing, near, density)
@@ -700,7 +700,7 @@ def lateral(
         rows.reached(far, whole, highest),
         *rows.unbalance(whole, reading, (lowest, highest), scale),
         *widest,
-        *rows.clearances(found),
+        *rows.clearances(at_clearances),
         *rows.level_one(one, density, why),
         *rows.level_two(table, highest, law is not None),
         *rows.as_it_runs([loop_at(w) for w in sorted({lowest, highest, trip})], law, timing),
@@ -708,7 +708,7 @@ def lateral(
         *rows.phase(budgets),
         *rows.circuit(circuit_change(machine, chosen, law, timing, modes)),
         *everywhere,
-        *rows.iso_vibration(machine, found, scale[0], (slowest, trip)),
+        *rows.iso_vibration(machine, at_clearances, scale[0], (slowest, trip)),
         *blocks_on,
         *rows.not_covered(machine),
     )
@@ -727,7 +727,7 @@ def lateral(
         bare,
         items=tuple(items),
         modes=table,
-        rubs=found,
+        rubs=at_clearances,
         response=whole,
         level_one=one,
         capacities=capacity,

@@ -186,8 +186,8 @@ def _crossings(free: _Free, support: Support, count: int) -> Iterator[Crossing]:
                 continue
             low, high = support.speeds[k : k + 2]
             speed = float(brentq(excess, low, high, args=(number,)))
-            found = float(np.interp(speed, support.speeds, size))
-            yield Crossing(support.name, number + 1, speed, found)
+            stiffness = float(np.interp(speed, support.speeds, size))
+            yield Crossing(support.name, number + 1, speed, stiffness)
 
 
 def _magnets(

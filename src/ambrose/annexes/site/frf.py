@@ -71,8 +71,8 @@ class ComparedResponse:
     @property
     def agreement(self) -> np.ndarray | None:
         """Share (p, m) of the lines at which the model does not disagree."""
-        found = self.validity
-        return None if found is None else (found.verdict != DISAGREES).mean(axis=0)
+        validity = self.validity
+        return None if validity is None else (validity.verdict != DISAGREES).mean(axis=0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -258,12 +258,12 @@ def respond(
             group, machine.axes, method=method, band=band, harmonics=harmonics, settle=settle
         )
         model = _Model(machine, group, controller, timing)
-        found = tuple(_responses(machine, loop, model))
+        responses = tuple(_responses(machine, loop, model))
         done.append(
             PointResponse(
                 group[0].point,
                 loop,
-                found,
+                responses,
                 tuple(_doubts(loop, group[0].point)),
                 tuple(_notes(loop, group[0])),
             )
@@ -379,16 +379,16 @@ def summary(point: PointResponse) -> list[dict[str, Any]]:
     for item in point.of("sensitivity"):
         frf = item.measured
         S, radius = np.abs(frf.values[:, 0, 0]), frf.radius()[:, 0, 0]
-        told = heard(frf)
-        margin, at = phase_margin(frf.omega, open_loop(frf).values[:, 0, 0], told)
-        size = np.where(told, S, -np.inf)
+        clear = heard(frf)
+        margin, at = phase_margin(frf.omega, open_loop(frf).values[:, 0, 0], clear)
+        size = np.where(clear, S, -np.inf)
         k = int(np.argmax(size))
-        some = bool(told.any())
+        some = bool(clear.any())
         rows.append(
             {
                 "axis": frf.inputs[0][2:],
-                "told": share(frf.omega, told),
-                "silent": where(frf.omega, told),
+                "told": share(frf.omega, clear),
+                "silent": where(frf.omega, clear),
                 "peak": float(S[k]) if some else None,
                 "peak_95": [float((size - radius).max()), float((size + radius).max())]
                 if some

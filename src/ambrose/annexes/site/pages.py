@@ -129,17 +129,17 @@ def _sections(loop: MeasuredLoop, requirement: float | None, several: bool) -> l
     )
 
     # T_ii = 1 - S_ii has the error of S_ii; the open loop of an axis is 1/S_ii - 1
-    told = loop.told[:, :-1]
+    clear = loop.told[:, :-1]
     T = np.abs(1 - np.einsum("wii->wi", loop.S))
     opened = {label: 1 / S_ii - 1 for label, S_ii in diagonal.items()}
     closed = {label: np.abs(1 - S_ii) for label, S_ii in diagonal.items()}
     none: list[tuple[tuple[str, float], ...]] = [()] * len(names)
     figures = (
         Figure(f"Sensitivity{where}", sensitivity, _SENSITIVITY),
-        Figure(f"Open loop{where}", nyquist(names, loop.omega, loop.loops, opened, told), _OPEN),
+        Figure(f"Open loop{where}", nyquist(names, loop.omega, loop.loops, opened, clear), _OPEN),
         Figure(
             f"Closed loop{where}",
-            panels(names, loop.omega, T, T - loop.half, T + loop.half, closed, none, told),
+            panels(names, loop.omega, T, T - loop.half, T + loop.half, closed, none, clear),
             _CLOSED,
         ),
     )
@@ -224,10 +224,10 @@ def in_words(result: Balancing) -> list[str]:
             f"better; to be {allowed}"
         )
     if result.runout_found and result.runout.any():
-        told = ", ".join(
+        runout = ", ".join(
             f"{1e6 * abs(r):.3g} µm at {np.degrees(np.angle(r)):.0f}°" for r in result.runout
         )
-        lines.append(f"Run-out at 1x, by the speeds: {told}")
+        lines.append(f"Run-out at 1x, by the speeds: {runout}")
     if result.scale is not None:
         scale = result.scale
         lines.append(
@@ -469,9 +469,9 @@ def _closed(item: ComparedResponse, where: str) -> Iterator[Figure]:
 def _answers(frf: Frf, j: int) -> list[int]:
     """Outputs that answer to input j: its own axis, else those near the largest."""
     axis = frf.inputs[j][2:]
-    own = [i for i, name in enumerate(frf.outputs) if name[2:] == axis]
-    if own:
-        return own
+    same_axis = [i for i, name in enumerate(frf.outputs) if name[2:] == axis]
+    if same_axis:
+        return same_axis
     size = np.median(np.abs(frf.values[:, :, j]), axis=0)
     return [int(i) for i in np.flatnonzero(size > _HARDLY * size.max())]
 

@@ -614,7 +614,7 @@ def _heaviest(machine: Machine, method: Tuned, progress: Callable[[str], None]) 
     if weights is None or weights.control_level is None or not machine.tolerances:
         needs = machine.in_file("[weights] with control_level, and a [[tolerance]]")
         raise InvalidInput(f"lever weight needs {needs}; add them, or take lever gain")
-    found: dict[float, Synthesis] = {}
+    designs: dict[float, Synthesis] = {}
     mu_method = Mu(
         rate=method.rate,
         delay_samples=method.delay_samples,
@@ -628,9 +628,9 @@ def _heaviest(machine: Machine, method: Tuned, progress: Callable[[str], None]) 
             replace(machine, weights=replace(weights, control_level=level)),
             machine.operation.design,
         )
-        found[factor] = design(plant, mu_method)
-        progress(f"{factor:.3g} of control_level: mu {found[factor].gamma:.4g}")
-        return found[factor].gamma
+        designs[factor] = design(plant, mu_method)
+        progress(f"{factor:.3g} of control_level: mu {designs[factor].gamma:.4g}")
+        return designs[factor].gamma
 
     low = high = 1.0
 
@@ -639,18 +639,18 @@ def _heaviest(machine: Machine, method: Tuned, progress: Callable[[str], None]) 
         high, low = low, low / 2
     while low == high and low < 1 / _LOWEST:
         low, high = (2 * low, 2 * low) if mu(2 * low) <= 1 else (low, 2 * low)
-    if found[low].gamma > 1:
+    if designs[low].gamma > 1:
         return Least("weight", 0.0, low, "mu", machine=machine, searched=_BISECTED)
 
     # the largest that is tried met it as well: none failed
     if low == high:
-        return Least("weight", low, 0.0, "the largest that is tried", found[low], machine)
+        return Least("weight", low, 0.0, "the largest that is tried", designs[low], machine)
 
     # bisection in the logarithm
     while high / low > _CLOSE:
         middle = (low * high) ** 0.5
         low, high = (middle, high) if mu(middle) <= 1 else (low, middle)
-    return Least("weight", low, high, "mu", found[low], machine, _BISECTED)
+    return Least("weight", low, high, "mu", designs[low], machine, _BISECTED)
 
 
 def _stepped(
@@ -750,27 +750,34 @@ def price(
         (item for item in machine.tolerances if item.parameter == parameter),
         Tolerance(parameter, relative=1.0),
     )
-    found: list[Least] = []
+    minima: list[Least] = []
     sign = -1 if lever == "weight" else 1
     try:
         for width in wanted:
             progress(f"{parameter} +-{100 * width:.3g} %")
-            own = replace(
+            widened = replace(
                 machine, tolerances=(*others, replace(stated, absolute=None, relative=width))
             )
-            found.append(
-                least(own, lever, method, reserve=reserve, time_limit=time_limit, progress=progress)
+            minima.append(
+                least(
+                    widened,
+                    lever,
+                    method,
+                    reserve=reserve,
+                    time_limit=time_limit,
+                    progress=progress,
+                )
             )
     except KeyboardInterrupt:
-        if not found:
+        if not minima:
             raise
 
     # what holds a wider range holds a narrower one: from the widest down the better
     # of the two stays
-    for i in range(len(found) - 2, -1, -1):
-        if sign * found[i + 1].value < sign * found[i].value:
-            found[i] = found[i + 1]
-    return Price(parameter, tuple(wanted[: len(found)]), tuple(found))
+    for i in range(len(minima) - 2, -1, -1):
+        if sign * minima[i + 1].value < sign * minima[i].value:
+            minima[i] = minima[i + 1]
+    return Price(parameter, tuple(wanted[: len(minima)]), tuple(minima))
 
 
 # Magnets over pole area and bias current: which sizes guarantee what is asked, what binds, which is
@@ -841,11 +848,11 @@ class Sizing(Presented):
     def facts(self) -> Mapping[str, Any]:
         """How many sizes meet all, and the knee."""
         knee = self.knee
-        told = f"{sum(t.met for t in self.trials)} of {len(self.trials)}"
+        meeting = f"{sum(t.met for t in self.trials)} of {len(self.trials)}"
         if knee is None:
-            return {"sizes_that_meet_all": told, "knee": "none"}
+            return {"sizes_that_meet_all": meeting, "knee": "none"}
         return {
-            "sizes_that_meet_all": told,
+            "sizes_that_meet_all": meeting,
             "knee": f"{knee.size.area:.3g} of the area at {knee.size.bias:.3g} of the bias",
             "copper_loss": knee.costs.copper_loss,
             "volt_amperes": knee.costs.volt_amperes,

@@ -120,8 +120,8 @@ def build_library(
             for name, text in files.items():
                 (Path(folder) / name).write_text(text, encoding="utf-8")
             status, message = _run(command, folder, time_limit)
-            made = Path(folder) / "library"
-            code = made.read_bytes() if made.is_file() else b""
+            library = Path(folder) / "library"
+            code = library.read_bytes() if library.is_file() else b""
     except subprocess.TimeoutExpired as error:
         raise InvalidInput(
             f"the C compiler {compiler} did not end within {time_limit:g} s; {remedy}"
@@ -345,7 +345,7 @@ class CompiledLaw(Generic[L]):
             [repr(value) for one in self._words for value in getattr(one, side).tolist()]
             for side in ("error", "current")
         )
-        told = [f"({first.signal})self->told[{i}], " for i in self._told.values()]
+        arguments = [f"({first.signal})self->told[{i}], " for i in self._told.values()]
         return _CALL.format(
             name=interface.name,
             memory=interface.memory,
@@ -353,7 +353,7 @@ class CompiledLaw(Generic[L]):
             current=", ".join(current),
             word=first.signal,
             counted=first.counted,
-            told="".join(told),
+            told="".join(arguments),
             d=sum(i not in _ESTIMATE for i in self._told.values()),
             m=len(error),
             p=len(current),

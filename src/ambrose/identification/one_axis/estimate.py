@@ -136,8 +136,8 @@ def equation_error(
     shifted[DELAY] += 1
     numerator, actuator = input_polynomials(shifted)
     driven = lfilter(numerator, actuator, np.append(u[1:], u[-1]))
-    own = lfilter(own_polynomial(plant[STIFFNESS]), [1.0], y)
-    left = own - driven - constant
+    A_y = lfilter(own_polynomial(plant[STIFFNESS]), [1.0], y)
+    left = A_y - driven - constant
     left[: len(numerator)] = 0.0
     return np.asarray(left)
 
@@ -191,8 +191,8 @@ def curvature(fit: Fit, y: np.ndarray, u: np.ndarray) -> tuple[float, np.ndarray
     late = np.concatenate([np.zeros(shift), u[: len(u) - shift]])
     numerator, _ = input_polynomials(np.array([plant[STIFFNESS], 1.0, 0.0]))
     columns = [
-        -lfilter(D, C, lfilter(numerator, [1.0], y**own * late**driven))[fit.first :]
-        for own, driven in _POWERS
+        -lfilter(D, C, lfilter(numerator, [1.0], y**power_y * late**power_u))[fit.first :]
+        for power_y, power_u in _POWERS
     ]
     jacobian = np.column_stack([fit.jacobian, *columns])
     size = np.sqrt((jacobian**2).sum(axis=0)) + 1e-300
@@ -490,27 +490,27 @@ def starts(y: np.ndarray, u: np.ndarray) -> list[np.ndarray]:
     For every pole p on the grid, C = (1 - e^-p q^-1)^2 makes a stable filter of A y = B u + c; for
     every delay of whole samples, cosh p and b then follow by least squares.
     """
-    found = []
+    guesses = []
     y, u = y[:_ENOUGH], u[:_ENOUGH]
     ahead = np.append(u[1:], u[-1])
     for pole in _POLES:
         C = np.convolve([1.0, -np.exp(-pole)], [1.0, -np.exp(-pole)])
         bend = lfilter([1.0, -2.0, 1.0], C, y)
-        own = lfilter([0.0, 1.0], C, y)
+        past = lfilter([0.0, 1.0], C, y)
         level = lfilter([1.0], C, np.ones_like(y))
         for delay in _DELAYS:
             held = np.zeros(delay + 4)
             held[delay + 2 : delay + 4] = 0.5  # of b w, b/2 (q^-1 + q^-2): the double integrator's
             drive = lfilter(held, C, ahead)
-            columns = np.column_stack([own, drive, level])
+            columns = np.column_stack([past, drive, level])
             first = min(len(y) // 5, 20 + int(5 / pole))
             solution = np.linalg.lstsq(columns[first:], bend[first:], rcond=None)[0]
             loss = float(np.mean((bend - columns @ solution)[first:] ** 2))
             stiffness = float(np.arccosh(1 + solution[0] / 2) ** 2) if solution[0] > 0 else 1e-6
             guess = [stiffness, solution[1], delay + 0.3, solution[2], C[1], C[2]]
-            found.append((loss, np.array(guess)))
-    found.sort(key=lambda item: item[0])
-    return [guess for _, guess in found]
+            guesses.append((loss, np.array(guess)))
+    guesses.sort(key=lambda item: item[0])
+    return [guess for _, guess in guesses]
 
 
 def fit_plainest(y: np.ndarray, u: np.ndarray) -> Fit:

@@ -361,19 +361,19 @@ def channels_of(
     every = np.arange(len(omega))
 
     # S_o = I - G Q,   K S_o = Q
-    found: list[Channel | Scaled] = [
+    channels: list[Channel | Scaled] = [
         Scaled("sensitivity", S_O, 1 / aims.sensitivity_limit(omega), every),
         Scaled("gain", DRIVE, 1 / aims.gain_limit(omega), every),
     ]
 
     # f -> q: G_qf - G_qu Q G_yf
     if aims.compliance is not None:
-        found.append(
+        channels.append(
             Channel("compliance", G_qf / aims.compliance, G_qu / aims.compliance, G_yf, every)
         )
     at = np.flatnonzero(omega <= aims.unbalance_to * (1 + 1e-9))
     if not aims.unbalance or not len(at):
-        return found
+        return channels
 
     # Under unbalance f = U omega^2, up to the speed at which it is asked for.
     force = aims.unbalance * omega[at, None, None] ** 2
@@ -382,7 +382,7 @@ def channels_of(
         rows = np.isfinite(limits)
         if rows.any():
             by = force / limits[rows][:, None]
-            found.append(
+            channels.append(
                 Channel(name, A[:, at][:, :, rows] * by, B[:, at][:, :, rows] * by, G_yf[:, at], at)
             )
 
@@ -404,7 +404,7 @@ def channels_of(
     under_unbalance(
         "force", k_i * G_if + k_s * G_qf, k_i * G_iu + k_s * G_qu, np.array(aims.forces)
     )
-    return found
+    return channels
 
 
 class Settling:
