@@ -330,6 +330,9 @@ def _starts(texts: tuple[str, ...]) -> dict[str, float]:
 
 
 def _print(done: Any, compared: Any) -> None:
+    """An identification for people: values first, fit and tests, then verdict and doubts;
+    compared: rows beside another machine file's values, or None.
+    """
     from ambrose.report import identification as tables
     from ambrose.report.identification import static_table
 
@@ -363,6 +366,7 @@ def _print(done: Any, compared: Any) -> None:
 
 
 def _table(table: Any, only_failed: bool = False) -> None:
+    """A table of a page in the terminal, or of it the rows with a failure alone."""
     rows = [
         row for row in table.cells if not only_failed or any(cell.mark == "fail" for cell in row)
     ]

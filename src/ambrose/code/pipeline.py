@@ -639,7 +639,10 @@ def _check_target(synthesis: Synthesis, target: Target) -> None:
     """What can be refused before anything is computed. Raises InvalidInput."""
     scheduled, along = synthesis.scheduled, synthesis.scheduled_over
     for other in BOTH.parts:
-        if (along is None or other not in along.each) and target.told(other) != ((None,), (None,)):
+        if (along is None or other not in along.each) and target.schedule_limits(other) != (
+            (None,),
+            (None,),
+        ):
             what = f"{other.name}_limit or {other.name}_rate"
             raise invalid(
                 what, "given", "left out", f"this controller is not scheduled over {other.name}"
@@ -662,7 +665,7 @@ def _check_target(synthesis: Synthesis, target: Target) -> None:
                 "'modal' for a scheduled controller",
                 f"its sections change with the {scheduled.parameter}",
             )
-        check_told_limits(scheduled.axes, along, *target.told(along))
+        check_told_limits(scheduled.axes, along, *target.schedule_limits(along))
 
 
 def _deploy(
@@ -710,7 +713,9 @@ def _deploy(
         return fixed, build_block(fixed, target.name, *limits, **guards)
     over = deploy_scheduled(synthesis, dt, delay, machine=machine, **how)
     if not supervised:
-        guards |= dict(zip(("told_limit", "rate_limit"), target.told(over.along), strict=True))
+        guards |= dict(
+            zip(("told_limit", "rate_limit"), target.schedule_limits(over.along), strict=True)
+        )
     return over, build_scheduled_block(over, target.name, *limits, **guards)
 
 

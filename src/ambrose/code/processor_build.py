@@ -97,9 +97,9 @@ def mantissa(compiler: str, flags: tuple[str, ...], kind: str) -> int:
     """Bits of the mantissa of double ("DBL") or float ("FLT") as a compiler has them. Raises
     InvalidInput for a compiler that does not answer.
     """
-    told = _answer([compiler, *flags, "-dM", "-E", "-x", "c", "-"])
-    found = re.search(rf"#define __{kind}_MANT_DIG__ (\d+)", told)
-    return int(found[1]) if found else 0
+    macros = _answer([compiler, *flags, "-dM", "-E", "-x", "c", "-"])
+    bits = re.search(rf"#define __{kind}_MANT_DIG__ (\d+)", macros)
+    return int(bits[1]) if bits else 0
 
 
 def version_of(command: str) -> str:
@@ -386,6 +386,9 @@ def _walk(
     known: dict[int, int],
     above: tuple[int, ...],
 ) -> int:
+    """As ``written_below``. after: address of the next instruction in memory; known: functions that
+    were walked, above: those that are being walked.
+    """
     if entry in known:
         return known[entry]
     if entry in above:
@@ -416,9 +419,10 @@ def _walk(
 
 
 def _step(name: str, rest: str) -> _Step:
-    found = _jumps(name, rest) or _moves(name, rest)
-    if found is not None:
-        return found
+    """What an instruction, mnemonic and operands, does to stack and flow. Raises Unwalked."""
+    step = _jumps(name, rest) or _moves(name, rest)
+    if step is not None:
+        return step
     # whatever else writes the stack pointer or the program counter is not followed
     first = rest.split(",", maxsplit=1)[0].strip().rstrip("!")
     writes = not name.startswith(("str", "cmp", "cmn", "tst", "teq", "vstr", "stm", "vstm"))
@@ -428,52 +432,53 @@ def _step(name: str, rest: str) -> _Step:
 
 
 def _jumps(name: str, rest: str) -> _Step | None:
+    """A branch, a call or a return; None for others. Conditional ones also go on behind them."""
     target = _TARGET.search(rest)
     to = int(target[1], 16) if target else None
-    if found := _BRANCH.fullmatch(name):
+    if match := _BRANCH.fullmatch(name):
         if to is None:
             raise Unwalked(f"{name} {rest}")
-        return _Step(to=to, ends=not (found[1] or found[2]))
+        return _Step(to=to, ends=not (match[1] or match[2]))
     if _CALL.fullmatch(name):
         if to is None:
             raise Unwalked(f"{name} {rest}")
         return _Step(called=to)
-    if found := _LEAVE.fullmatch(name):
+    if match := _LEAVE.fullmatch(name):
         if rest != "lr":
             raise Unwalked(f"{name} {rest}")
-        return _Step(ends=not found[1])
+        return _Step(ends=not match[1])
     if name == "mov" and rest == "pc, lr":
         return _Step(ends=True)
     return None
 
 
 def _moves(name: str, rest: str) -> _Step | None:
-    """What moves the stack pointer by a number that stands in the instruction."""
+    """What moves the stack pointer by a number that stands in the instruction; None for others."""
     listing = rest.startswith(("{", "sp!"))
     if listing and _PUSHED.fullmatch(name):
         return _Step(pushed=_size(rest))
-    if listing and (found := _POPPED.fullmatch(name)):
+    if listing and (match := _POPPED.fullmatch(name)):
         back = bool(re.search(r"\bpc\b", rest))
-        return _Step(pushed=0 if found[2] else -_size(rest), ends=back and not found[2])
+        return _Step(pushed=0 if match[2] else -_size(rest), ends=back and not match[2])
     if _SAVED.fullmatch(name) and (moved := re.search(r"\[sp, #-(\d+)\]!", rest)):
         return _Step(pushed=int(moved[1]))
-    if (found := _LOADED.fullmatch(name)) and (moved := re.search(r"\[sp\], #(\d+)", rest)):
+    if (match := _LOADED.fullmatch(name)) and (moved := re.search(r"\[sp\], #(\d+)", rest)):
         back = rest.startswith("pc,")
-        return _Step(pushed=0 if found[1] else -int(moved[1]), ends=back and not found[1])
-    if (found := _MOVED.fullmatch(name)) and (moved := re.fullmatch(r"sp, (?:sp, )?#(\d+)", rest)):
+        return _Step(pushed=0 if match[1] else -int(moved[1]), ends=back and not match[1])
+    if (match := _MOVED.fullmatch(name)) and (moved := re.fullmatch(r"sp, (?:sp, )?#(\d+)", rest)):
         taken = int(moved[1])
-        if found[1] == "sub":
+        if match[1] == "sub":
             return _Step(pushed=taken)
-        return _Step(pushed=0 if found[2] else -taken)
+        return _Step(pushed=0 if match[2] else -taken)
     return None
 
 
 def _size(listing: str) -> int:
     """Bytes of the registers of a list."""
     total = 0
-    for found in _RANGE.finditer(listing.partition("{")[2]):
-        count = int(found[3]) - int(found[2]) + 1 if found[3] else 1
-        total += count * (8 if found[1] == "d" else 4)
+    for match in _RANGE.finditer(listing.partition("{")[2]):
+        count = int(match[3]) - int(match[2]) + 1 if match[3] else 1
+        total += count * (8 if match[1] == "d" else 4)
     return total
 
 
@@ -529,8 +534,8 @@ def build(unit: Unit, processor: Processor, folder: Path, contraction: bool = Fa
         processor.kind, f"{processor.kind}.c"
     )
     free = processor.kind != "host"
-    own = ["driver.c", start, *(["memory.c"] if free else [])]
-    support = [*own, "support.h", *(["stdio.h", "limits.h", "memory.ld"] if free else [])]
+    driver = ["driver.c", start, *(["memory.c"] if free else [])]
+    support = [*driver, "support.h", *(["stdio.h", "limits.h", "memory.ld"] if free else [])]
     for name, text in unit.files.items():
         (folder / name).write_text(text, encoding="utf-8")
     for name in support:
@@ -541,15 +546,15 @@ def build(unit: Unit, processor: Processor, folder: Path, contraction: bool = Fa
     flags = [*processor.flags, *_BASE, contract, *(_FREE[:2] if free else ())]
     counted = ["-fstack-usage", "-fcallgraph-info=su"] if free else []
     objects = []
-    for name in (*unit.interface.sources, unit.self_test, *own):
-        std = ["-std=gnu99"] if name in own else []
+    for name in (*unit.interface.sources, unit.self_test, *driver):
+        std = ["-std=gnu99"] if name in driver else []
         renamed = ["-Dmain=self_test"] if name == unit.self_test else []
-        made = f"{name.removesuffix('.c')}.o"
+        target = f"{name.removesuffix('.c')}.o"
         _run(
-            [processor.compiler, *flags, *std, *renamed, *counted, "-I.", "-c", name, "-o", made],
+            [processor.compiler, *flags, *std, *renamed, *counted, "-I.", "-c", name, "-o", target],
             folder,
         )
-        objects.append(made)
+        objects.append(target)
     link = [*_FREE[2:], "-Wl,-Map=program.map", "-Wl,--build-id=none"] if free else []
     link += ["-T", "memory.ld"] if processor.kind in _PLACES else []
     last = [processor.library] if free and processor.library else []
@@ -563,6 +568,7 @@ def build(unit: Unit, processor: Processor, folder: Path, contraction: bool = Fa
 def _footprint(
     unit: Unit, processor: Processor, folder: Path, symbols: Mapping[str, int]
 ) -> Footprint:
+    """The footprint of a linked program, by the compiler's tools; symbols: addresses by name."""
     sizes = _run(
         [processor.tool("size"), *(f"{n.removesuffix('.c')}.o" for n in unit.interface.sources)],
         folder,
@@ -578,11 +584,13 @@ def _footprint(
 
 
 def _symbols(processor: Processor, folder: Path) -> dict[str, int]:
+    """The addresses of the program's functions and variables by name."""
     lines = (line.split() for line in _run([processor.tool("nm"), "program"], folder).splitlines())
     return {parts[2]: int(parts[0], 16) for parts in lines if len(parts) == 3}
 
 
 def _symbol_size(processor: Processor, folder: Path, name: str) -> int:
+    """The size [bytes] of a variable of the driver, 0 without it."""
     listed = _run([processor.tool("nm"), "-S", "driver.o"], folder)
     for parts in (line.split() for line in listed.splitlines()):
         if len(parts) == 4 and parts[3] == name:
@@ -722,15 +730,16 @@ class Link:
             bufsize=0,
         )
         self._program = program
+        # when an answer is due, by the clock that ``_watch`` looks at, and whether it was overdue
         self._due, self._late = math.inf, False
         self._over = threading.Event()
         threading.Thread(target=self._watch, daemon=True).start()
         try:
-            if self._asked() != _HELLO:
+            if self._answer_word() != _HELLO:
                 raise InvalidInput(
                     f"the program on {processor.name} does not answer in its byte order"
                 )
-            self.memory = self._asked()
+            self.memory = self._answer_word()
         except BaseException:
             self.close()
             raise
@@ -768,29 +777,29 @@ class Link:
     def self_test(self) -> bool:
         """Whether the self-test that is delivered passes there."""
         self._say(_SELF_TEST)
-        return self._asked() == 0
+        return self._answer_word() == 0
 
     def checksum(self) -> tuple[int, int, str]:
         """CRC of the tables as the program reads them, as it was written, and its identity."""
         self._say(_IDENTITY)
-        found, meant = self._asked(), self._asked()
+        computed, written = self._answer_word(), self._answer_word()
         text = b""
         while not text.endswith(b"\0"):
             text += self._read(1)
-        return found, meant, text[:-1].decode("ascii", "replace")
+        return computed, written, text[:-1].decode("ascii", "replace")
 
     def steps(self, samples: np.ndarray, *, watching: bool = True) -> np.ndarray:
         """Answers (k,) to samples (k,), as ``Unit.given`` and ``answered`` have them; watching: how
         deep the stack is written (slow).
         """
-        found = []
+        answers = []
         what = _STEPS if watching and self._log is None else _STEPS_ALONE
         for i in range(0, len(samples), _AT_ONCE):
             part = samples[i : i + _AT_ONCE].astype(self.given)
             self._say(what, len(part))
             self._write(part.tobytes())
-            found.append(self._read(len(part) * self.answered.itemsize))
-        return np.frombuffer(b"".join(found), self.answered)
+            answers.append(self._read(len(part) * self.answered.itemsize))
+        return np.frombuffer(b"".join(answers), self.answered)
 
     def set_states(self, states: np.ndarray) -> None:
         """The states (n,) as numbers of the code."""
@@ -802,25 +811,28 @@ class Link:
         if self._log is None:
             return []
         begin, end = (self._program.symbols[name] for name in ("counting", "counted"))
-        found = []
+        counts = []
         count, within = 0, False
         for at in _traced(self._log):
             if at == begin:
                 count, within = 0, True
             elif at == end and within:
-                found.append(count)
+                counts.append(count)
                 within = False
             elif within:
                 count += 1
-        return found
+        return counts
 
     def _say(self, *words: int) -> None:
+        """A request: its number and what it takes, as words."""
         self._write(np.array(words, self._word).tobytes())
 
-    def _asked(self) -> int:
+    def _answer_word(self) -> int:
+        """The next word of an answer."""
         return int(np.frombuffer(self._read(4), self._word)[0])
 
     def _write(self, content: bytes) -> None:
+        """All of it into the program's pipe. Raises InvalidInput where the program ended."""
         stream: Any = self._process.stdin
         self._due = time.monotonic() + _PATIENCE
         try:
@@ -831,6 +843,7 @@ class Link:
             raise InvalidInput(self._ended()) from error
 
     def _read(self, count: int) -> bytes:
+        """So many bytes of its answer. Raises InvalidInput where the program ended."""
         stream: Any = self._process.stdout
         content = b""
         self._due = time.monotonic() + _PATIENCE
@@ -851,6 +864,7 @@ class Link:
                 return
 
     def _ended(self) -> str:
+        """Why the program ended before it answered, in words."""
         runs = self.processor.emulator[0] if self.processor.emulator else "this computer"
         if self._late:
             return (
@@ -869,9 +883,9 @@ def _traced(path: Path) -> Iterator[int]:
     """The addresses of the instructions in an emulator's log, in their order."""
     with path.open("rb") as lines:
         for line in lines:
-            found = _PC.match(line)
-            if found:
-                yield int(found[1], 16)
+            match = _PC.match(line)
+            if match:
+                yield int(match[1], 16)
 
 
 SAMPLES = 1000  # that the example runs on its emulated board
@@ -901,8 +915,8 @@ def bare_metal_files(law: AnyLaw, arithmetic: Arithmetic) -> dict[str, str]:
     if isinstance(base, SupervisedBlock):  # no monitor beside it
         told += [{"name": name, "value": number(-1.0)} for name in ("estimate", "half_width")]
     delay = base.delay
-    given = "".join(f"from->{one.name}, " for one in unit.interface.arguments if one.given)
-    call = f"{unit.step}(&controller, {given}current[k % SETS])"
+    arguments = "".join(f"from->{one.name}, " for one in unit.interface.arguments if one.given)
+    call = f"{unit.step}(&controller, {arguments}current[k % SETS])"
     facts: dict[str, Any] = {
         **unit.driver_facts(),
         "step": call,

@@ -128,8 +128,12 @@ class Target(AsItRuns, ABC):
                 f"{self.beside}; write one of these, which run both in one unit",
             )
 
-    def told(self, along: Scheduling) -> tuple[tuple[float | None, ...], tuple[float | None, ...]]:
-        """The limits of what the code is told, of each parameter, and of their rates."""
+    def schedule_limits(
+        self, along: Scheduling
+    ) -> tuple[tuple[float | None, ...], tuple[float | None, ...]]:
+        """The largest plausible value of every parameter of the schedule (speed [rad/s], pressure
+        [Pa]), and of its rate; None: as ``build_scheduled_block`` takes it.
+        """
         limits, rates = (
             tuple(getattr(self, f"{one.name}_{what}") for one in along.each)
             for what in ("limit", "rate")

@@ -76,11 +76,11 @@ class FastModes:
         turns = np.rint((theirs.imag - values.imag) * self.dt / (2 * np.pi))
         s = values + 2j * np.pi * turns / self.dt
         kept = np.abs(s - theirs) <= _HALF * np.abs(theirs.real)
-        own = (part.sum(axis=1).real > _HALF) & (kept | (s.real >= 0))
+        at_mode = (part.sum(axis=1).real > _HALF) & (kept | (s.real >= 0))
 
         # a pole on the real axis stands for e^{j 2 pi k/T} and for its conjugate alike
         s = np.where((values.imag == 0) & (s.imag < 0), s.conj(), s)
-        return own, np.where(own, s, values)
+        return at_mode, np.where(at_mode, s, values)
 
     def scaled(self, t: np.ndarray) -> FastModes:
         """The same for states x_s with x = diag(t) x_s, t (n,)."""

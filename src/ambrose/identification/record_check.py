@@ -144,6 +144,7 @@ def check_record(
     )
 
 
+# quantities of a closed or open loop, which tell the axis that they are read at
 _CLOSED = ("S", "T", "L", "G", "motion")
 
 
@@ -194,6 +195,7 @@ def _far_apart(machine: Machine, response: Response) -> Iterator[Finding]:
     middle, spacing = np.sqrt(omega[1:] * omega[:-1]), np.diff(omega)
     far: dict[float, str] = {}
     for pole in light[np.argsort(light.imag)]:
+        # the intervals between lines near the mode, that which holds it among them
         near = np.abs(middle / pole.imag - 1) < _NEAR_MODE
         near[np.clip(np.searchsorted(omega, pole.imag) - 1, 0, len(near) - 1)] = True
         least, width = spacing[near].min() / TWO_PI, -2 * pole.real / TWO_PI
@@ -228,20 +230,22 @@ def _check_table(
         ("displacement", _range(axis.position, "m")),
         ("drive", _range(axis.drive, axis.unit)),
     )
-    given = {"columns": columns, "sample_rate_hz": sample_rate_hz, "travel": travel}
+    options = {"columns": columns, "sample_rate_hz": sample_rate_hz, "travel": travel}
     others = Use(
         "anything of a machine",
         "identify, frf, accept",
         False,
         "a text table names no axes; write it as a record with ambrose convert --columns",
     )
-    return RecordCheck(axis.name, contents, (), (_tried(source, given), others))
+    return RecordCheck(axis.name, contents, (), (_try_generic(source, options), others))
 
 
-def _tried(source: Any, given: Mapping[str, Any]) -> Use:
-    """One axis, tried: fitting is quick, and nothing else tells whether noise drove the loop."""
+def _try_generic(source: Any, options: Mapping[str, Any]) -> Use:
+    """Whether ``identify_generic`` identifies one axis with these keyword arguments: the fit is
+    quick, and nothing else tells whether noise drove the loop.
+    """
     try:
-        done = identify_generic(source, **given)
+        done = identify_generic(source, **options)
     except InvalidInput as refusal:
         reason = "; ".join(str(refusal).split(BULLET))
         return Use("one axis, controller unknown", "identify --generic", False, reason)
@@ -257,23 +261,25 @@ def _tried(source: Any, given: Mapping[str, Any]) -> Use:
 
 
 def _generic_use(
-    source: Any, record: Record, axes: tuple[str, ...], given: Mapping[str, Any]
+    source: Any, record: Record, axes: tuple[str, ...], options: Mapping[str, Any]
 ) -> Use:
-    named = bool(given["columns"])
-    if len(axes) > 1 and not named:
+    """As ``_try_generic``; of several axes only where the option ``columns`` names one."""
+    if len(axes) > 1 and not options["columns"]:
         reason = (
             f"{len(axes)} axes; name one, such as --displacement y_{axes[0]}; it lacks what "
             "couples them"
         )
         return Use("one axis, controller unknown", "identify --generic", False, reason)
-    return _tried(source, given)
+    return _try_generic(source, options)
 
 
 def _axes(record: Record) -> tuple[str, ...]:
+    """The axes whose displacements y_<axis> are recorded."""
     return tuple(name[2:] for name in record.signals if name.startswith("y_"))
 
 
 def _contents(record: Record) -> tuple[tuple[str, str], ...]:
+    """Machine, operating point, samples, then the range of every signal, in words by name."""
     seconds = record.values.shape[1] * record.dt
     words = f"{record.values.shape[1]}, {seconds:.6g} s at {record.sample_rate_hz:.6g} Hz"
     rows = [("machine", record.machine), ("point", point_in_words(record.point))]
@@ -322,9 +328,9 @@ def _findings(record: Record, machine: Machine | None) -> Iterator[Finding]:
                 f"it has {', '.join(machine.axes)}",
                 "rename the signals, or give the machine that was recorded",
             )
-        found = signal_findings(machine, record, 1, excited="")
-        yield from found
-        if not unknown and not any(item.severity == ERROR for item in found):
+        of_signals = signal_findings(machine, record, 1, excited="")
+        yield from of_signals
+        if not unknown and not any(item.severity == ERROR for item in of_signals):
             yield from machine_findings(machine, record)
     measured = {
         name: record[name] for name in record.signals if name.partition("_")[0] in _MEASURED

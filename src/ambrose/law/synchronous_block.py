@@ -130,18 +130,20 @@ def circle() -> np.ndarray:
 
 @dataclass(slots=True)
 class Angle:
-    """The angle of the rotor from one pulse per turn."""
+    """The angle of the rotor from one pulse per turn. dt [s]: of a sample; fastest [rad/s^2]: the
+    fastest run-up.
+    """
 
     dt: float
     fastest: float
-    pulses: int = 0
-    tau: float = 0.0
-    period: float = 0.0
-    middle: float = 0.0  # speed in the middle of the last turn
-    speed: float = 0.0
-    slope: float = 0.0
-    now: float = 0.0
-    theta: float = 0.0
+    pulses: int = 0  # that came since the key phasor was lost, 3 at most; -1: lost in this turn
+    tau: float = 0.0  # time since the last pulse [s]
+    period: float = 0.0  # of the last turn [s]
+    middle: float = 0.0  # speed in the middle of the last turn [rad/s]
+    speed: float = 0.0  # W at the last pulse [rad/s]
+    slope: float = 0.0  # W' [rad/s^2]
+    now: float = 0.0  # W + W' tau [rad/s]
+    theta: float = 0.0  # [rad], from 0 to 2 pi
     turned: bool = False  # a turn has ended in this sample, and its speed is known
 
     def follow(self, pulse: float) -> BlockFault:
@@ -199,12 +201,12 @@ class _Running:
 
     state: BlockState = BlockState.OFF
     fault: BlockFault = BlockFault.NONE
-    latched: bool = False
-    clock: int = 0
-    ramp: float = 0.0
-    a: np.ndarray = field(default_factory=lambda: np.zeros(0, complex))
+    clock: int = 0  # samples in HOLD or RELEASE
+    ramp: float = 0.0  # factor on eps, from 0 to 1
+    a: np.ndarray = field(default_factory=lambda: np.zeros(0, complex))  # (n,) [m]
+    # (m,) sum of exp(-j n theta) s since the last pulse, and its samples: of one per turn
     total: np.ndarray = field(default_factory=lambda: np.zeros(0, complex))
-    count: int = 0  # samples in total, the sum of exp(-j n theta) s since the pulse
+    count: int = 0
 
 
 class SynchronousBlock:
@@ -317,7 +319,7 @@ class SynchronousBlock:
         fault: BlockFault,
         enabled: bool,
     ) -> None:
-        """The state machine of one block."""
+        """The state machine of one block; samples: at most in HOLD, and in RELEASE."""
         low, high = block.band
         edge = block.hysteresis if run.state is BlockState.OFF else 0.0
         inside = low + edge <= self.angle.now <= high - edge

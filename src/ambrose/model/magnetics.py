@@ -346,7 +346,7 @@ class MagneticNetwork:
 
 
 _POINTS = 11  # of a map, each way
-_LEAN = 0.05
+_LEAN = 0.05  # weight of the norm of W while its distribution is sought; assumed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -508,11 +508,11 @@ def bias_linearisation(
     random = np.random.default_rng(seed)
     best, k = None, 0.0
     for _ in range(starts):
-        found = least_squares(small, random.standard_normal(3 * len(kept)), max_nfev=100)
-        found = least_squares(missing, found.x, xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=200)
-        if np.abs(found.fun).max() > 1e-9:
+        fit = least_squares(small, random.standard_normal(3 * len(kept)), max_nfev=100)
+        fit = least_squares(missing, fit.x, xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=200)
+        if np.abs(fit.fun).max() > 1e-9:
             continue
-        W = found.x.reshape(len(kept), 3)
+        W = fit.x.reshape(len(kept), 3)
         # columns may be scaled apart: W diag(a, b, b) makes k a b; the largest entries become 1
         a, b = np.abs(W[:, 0]).max(), np.abs(W[:, 1:]).max()
         if size / (a * b) > k:
@@ -565,7 +565,9 @@ def heteropolar(part: Magnet, *, separate: bool = False) -> DrivenMagnet:
         areas, signs = np.array([1.0, 2.0, 1.0]), np.array([0.0, 1.0, 0.0])
     else:
         areas, signs = share, _signs(m, part.polarity)
-    turned = np.array([1.0, -1.0, 1.0, -1.0])  # from quadrant to quadrant
+    # sense of every pole's coil (+1: flux into the journal): the signs of a half-axis, turned over
+    # from one to the next for E-cores, and for two poles each in the order NNSS
+    turned = np.array([1.0, -1.0, 1.0, -1.0])
     alternate = m == 3 or (m == 2 and part.polarity == "NNSS")
     sense = np.outer(turned if alternate else np.ones(4), signs).ravel()
     areas = np.tile(areas, 4) * part.pole_area

@@ -246,7 +246,7 @@ def _own_map(path: File) -> ResponseMap:
         re.fullmatch(r"\s*\"?([^\[\"]*?)\s*(?:\[([^\]]*)\])?\"?\s*", c) for c in head.split(",")
     ]
     names = [("", "") if cell is None else (cell[1], cell[2] or "") for cell in cells]
-    found: dict[tuple[str, ...], dict[str, Any]] = {}
+    by_path: dict[tuple[str, ...], dict[str, Any]] = {}
     for name, unit in names[1:]:
         match = _COLUMN.fullmatch(name)
         if match is None:
@@ -256,7 +256,7 @@ def _own_map(path: File) -> ResponseMap:
                 f" {', '.join(_PARTS)}), or give a column map (ambrose convert --columns)"
             )
         quantity, read, injected, at, part = match.groups()
-        known = found.setdefault(
+        known = by_path.setdefault(
             (quantity, read, injected or read, at or SENSOR), {"averages": averages}
         )
         if part in known:
@@ -272,7 +272,7 @@ def _own_map(path: File) -> ResponseMap:
             raise _two_units(name, [known["unit"], unit])
     paths = [
         PathColumns(quantity=q, read=i, injected=j, at=at, **columns)
-        for (q, i, j, at), columns in found.items()
+        for (q, i, j, at), columns in by_path.items()
     ]
     column = Column(name="frequency", source=names[0][0], unit=names[0][1])
     return ResponseMap(said["machine"], point, tuple(paths), column, said.get("date", ""), rate)
@@ -306,6 +306,7 @@ def _two_units(name: str, units: Sequence[str]) -> InvalidInput:
 
 
 def _mapped(path: File, columns: ResponseMap) -> Response:
+    """The responses in a file of another program, read through a map. Raises InvalidInput."""
     wanted = []
     for item in columns.paths:
         parts = (item.source, item.gain, item.phase, item.real, item.imag)
@@ -323,8 +324,8 @@ def _mapped(path: File, columns: ResponseMap) -> Response:
     if path.suffix.lower() in _PLAIN:
         data = dict(zip(names, read_variables(path, names), strict=True))
     else:  # others in a process apart, whose numbers are gone after the block
-        with variables_of(path, names) as found:
-            copies = [replace(variable, values=np.array(variable.values)) for variable in found]
+        with variables_of(path, names) as variables:
+            copies = [replace(variable, values=np.array(variable.values)) for variable in variables]
         data = dict(zip(names, copies, strict=True))
     sizes = {name: len(variable.values) for name, variable in data.items()}
     if len(set(sizes.values())) > 1:
@@ -346,6 +347,7 @@ def _mapped(path: File, columns: ResponseMap) -> Response:
 
 
 def _rates(column: Column, variable: Variable) -> np.ndarray:
+    """The frequencies (w,) [rad/s] of a column in any unit of angular rate. Raises InvalidInput."""
     unit = column.unit or variable.unit
     try:
         if not unit:
@@ -357,6 +359,9 @@ def _rates(column: Column, variable: Variable) -> np.ndarray:
 
 
 def _path(item: PathColumns, data: Mapping[str, Variable], omega: np.ndarray) -> Path:
+    """One path, SI, from the columns that ``item`` names in ``data``; omega (w,) [rad/s]. Raises
+    InvalidInput.
+    """
     injected = item.injected or item.read
     empty = Path(item.quantity, item.read, injected, np.ones(1, complex), None, item.at)
     # what the columns themselves state, where the map does not
@@ -366,9 +371,9 @@ def _path(item: PathColumns, data: Mapping[str, Variable], omega: np.ndarray) ->
     if not item.unit and len(stated) > 1:
         raise _two_units(empty.name, stated)
     # what the map says, against a header that may be wrong; else the header
-    own = {column: data[column].unit for column in (item.gain, item.phase) if column}
-    of_gain = item.gain_unit or ("dB" if own.get(item.gain) == "dB" else "abs")
-    of_phase = item.phase_unit or ("rad" if own.get(item.phase) == "rad" else "deg")
+    header = {column: data[column].unit for column in (item.gain, item.phase) if column}
+    of_gain = item.gain_unit or ("dB" if header.get(item.gain) == "dB" else "abs")
+    of_phase = item.phase_unit or ("rad" if header.get(item.phase) == "rad" else "deg")
     item = replace(item, gain_unit=of_gain, phase_unit=of_phase)
     unit = item.unit or next(iter(stated), "")
     name, factor = empty.name, item.sign * unit_factor(item.quantity, unit)
@@ -467,8 +472,8 @@ def _read_hdf5(path: File) -> Response:
 
     with opened(path) as file:
         # one that this package wrote has checksums on its structure
-        own = is_checked(path) and text(file.attrs.get("format", "")) == FORMAT
-        if not own or "frequency" not in file:
+        ours = is_checked(path) and text(file.attrs.get("format", "")) == FORMAT
+        if not ours or "frequency" not in file:
             raise InvalidInput(
                 f"it is not a file of responses (format {FORMAT!r}); give a column map (ambrose "
                 "convert --columns)"

@@ -174,8 +174,8 @@ def _distance(candidate: Candidate, labels: Sequence[str]) -> tuple[int, int, fl
         [share(checks) for checks in part]
         for part in (candidate.checks, (*candidate.boxes, *candidate.ranges))
     )
-    missing = len(_absent(candidate, labels)) + sum(not own.stable for own in points)
-    return missing, sum(not own.stable for own in boxes), _worst(candidate)[1].ratio
+    missing = len(_absent(candidate, labels)) + sum(not one.stable for one in points)
+    return missing, sum(not one.stable for one in boxes), _worst(candidate)[1].ratio
 
 
 def _worst(candidate: Candidate) -> tuple[str, Share]:

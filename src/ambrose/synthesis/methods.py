@@ -183,12 +183,12 @@ class Weighted(Lowered):
 
         # comparable gains were nobody's wish: the file's own weights, where they do better
         progress("the reference's direct gains are unstable on it: the file's own control weight")
-        own, reached = self._designed(plant, weights, False, progress)
+        by_file, reached = self._designed(plant, weights, False, progress)
         if not reached < peak or (reached > limit and peak < float("inf")):
             return result
         words = "unstable" if peak == float("inf") else f"at sigma_max(S_o) {peak:.3g}"
         note = f"with the reference's direct gains it would be {words}: the file's control weight"
-        return replace(own, notes=(*own.notes, note))
+        return replace(by_file, notes=(*by_file.notes, note))
 
     def _designed(
         self, plant: Plant, weights: Weights, matched: bool, progress: Progress
@@ -221,9 +221,9 @@ class Weighted(Lowered):
         if reference is not None:  # of the controller that is returned: polishing moves it
             margins["direct_gain_mismatch"] = direct_gain_mismatch(result.controller, reference)[0]
         result = certify_on_full_plant(plant, replace(result, weights=weights), margins)
-        found = sampled_margins(plant, result, timing)
+        sampled = sampled_margins(plant, result, timing)
         full = result.certificate.margins["full_sensitivity_peak"]
-        return result, float(found.get("sampled_sensitivity_peak", full))
+        return result, float(sampled.get("sampled_sensitivity_peak", full))
 
     def _matched(self, machine: Machine) -> bool:
         if self.match_reference is not None:
@@ -283,7 +283,9 @@ def _as_strong(
     uncertain: bool,
     progress: Progress,
 ) -> tuple[Synthesis, Weights]:
-    """The controller whose direct gains are the reference's, and its weights."""
+    """The controller whose direct gains are the reference's, and its weights: the file's with the
+    control weight scaled. Raises InvalidInput without a reference.
+    """
     from ambrose.core.checks import invalid
     from ambrose.synthesis.hinf import tune_control_weight
 
@@ -567,6 +569,7 @@ class Tuned(Method):
             if machine.reference is None and self.structure not in BANKS:
                 # known to hold, where the file has no [controller]
                 start = running if isinstance(running, StateSpace) and not running.dt else start
+        # number of an operating point -> the responses that were measured there
         places = placed(plants, self.measured, running)
         result = tune_controller(
             plants,

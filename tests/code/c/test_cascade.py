@@ -15,10 +15,14 @@ from ambrose.code.block.block import build_block
 from ambrose.code.block.cascade import (
     _from_signals,
     _gains,
+    _running_law,
+    _signal_rows,
+    block_law,
     build_cascade,
     floating_error,
     in_words,
 )
+from ambrose.code.block.fixed_point import response_error, sampled_response
 from ambrose.code.block.run import LIMITED, run_of
 from ambrose.code.c.code import generate
 from ambrose.code.c.compiled import CompiledBlock, read_law
@@ -69,7 +73,7 @@ def blocks(request):
     return both(request.param)
 
 
-def test_sections_run_as_the_modal_form(blocks):
+def test_1_and_3_sections_run_as_the_modal_form(blocks):
     """Limits, anti-windup and transfer included; the bounds hold and are no guess."""
     block, modal = blocks
     e, valid = driver.adversarial(modal, 3000)
@@ -82,7 +86,7 @@ def test_sections_run_as_the_modal_form(blocks):
     assert (block.raw_limit <= modal.raw_limit * 1.0001).all()
 
 
-def test_sections_against_scipy():
+def test_1_sections_against_scipy():
     """A chain of Tustin's sections in coefficients of 1/z, as scipy filters them, errors small
     enough for no limit.
     """
@@ -103,7 +107,7 @@ def test_sections_against_scipy():
     assert np.abs(run_of(block, e).currents[:, 0] - 20e3 * y).max() <= 1e-9 * np.abs(20e3 * y).max()
 
 
-def test_prewarping_reaches_the_sections():
+def test_2_prewarping_reaches_the_sections():
     block, modal = both(prewarp=HZ * 210)
     plain, _ = both()
     e = np.zeros((50, 4))
@@ -209,7 +213,7 @@ def test_law_read_back_and_transfer(blocks, arithmetic, digits):
 
 @pytest.mark.parametrize("coordinates", ["axes", "tilt-translate"])
 @pytest.mark.parametrize(("word", "error"), [(32, 0.5e-3), (16, 1e-5)])
-def test_rounding_is_predicted(coordinates, word, error):
+def test_6_rounding_is_predicted(coordinates, word, error):
     """Noise within 12 % of its prediction, and the bound holds; compared is the law of the rounded
     numbers.
     """
@@ -438,7 +442,60 @@ def test_four_channels_of_three_bearings_run_as_code():
     assert np.abs(expected).max() > 0.1 and found == pytest.approx(expected, abs=1e-9)
 
 
-def test_energy_of_errors_that_are_made_good_a_sample_later():
+def stepped(block, e, x, errors=None):
+    """The signals, currents and steps of (1), with errors added to the signals as they are made."""
+    errors = np.zeros(len(block.signals)) if errors is None else errors
+    v = block.into @ e + errors[: len(block.into)]
+    signals, step, i = [*v], np.zeros(block.n_states), 0
+    for k, stage in enumerate(block.stages):
+        d, b1, b2, a1, a2 = stage.coefficients
+        y = d * v[stage.channel] + x[i] + errors[len(block.into) + k]
+        step[i] = b1 * v[stage.channel] - a1 * x[i]
+        if stage.order == 2:
+            step[i] += x[i + 1]
+            step[i + 1] = b2 * v[stage.channel] - a2 * x[i]
+        v[stage.channel], i = y, i + stage.order
+        signals.append(y)
+    return np.array(signals), block.out @ v, step
+
+
+def law_of(respond, states, errors):
+    """A - I, B, C and D of a step, column by column."""
+    none = np.zeros(errors), np.zeros(states)
+    by_e = [respond(unit, none[1]) for unit in np.eye(errors)]
+    by_x = [respond(none[0], unit) for unit in np.eye(states)]
+    (D, B), (C, A) = (
+        map(np.transpose, map(np.array, zip(*by, strict=True))) for by in (by_e, by_x)
+    )
+    return A, B, C, D
+
+
+def test_1_and_3_rows_of_signals_and_of_their_errors(blocks):
+    """The matrices of bounds and noise, beside single steps; and the law of the block itself."""
+    block, rng = blocks[0], np.random.default_rng(0)
+    e, x, errors = (rng.normal(size=n) for n in (4, block.n_states, len(block.signals)))
+    signals, currents, step = stepped(block, e, x)
+    rows = _signal_rows(block, block.into, block.stages)
+    assert rows @ np.concatenate([e, x]) == pytest.approx(signals)
+    _, off, moved = stepped(block, e, x, errors)
+    B, D = _from_signals(block)
+    assert D @ errors == pytest.approx(off - currents, abs=1e-9 * np.abs(off).max())
+    assert B @ errors == pytest.approx(moved - step, abs=1e-12)
+    for found, expected in zip(block_law(block), law_of(block.respond, len(x), 4), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+
+
+def test_4_the_law_of_whole_numbers_and_its_distance(blocks):
+    fixed = in_words(blocks[0], 16, 0.1)
+    law = law_of(quantised(fixed).respond, fixed.block.n_states, 4)
+    exact, rounded = sampled_response(*block_law(fixed.block)), sampled_response(*law)
+    found = sampled_response(*_running_law(fixed))
+    assert response_error(rounded, found) < 1e-9
+    assert fixed.gain_error > 1e-6
+    assert fixed.gain_error == pytest.approx(response_error(exact, rounded, 0.1), rel=1e-6)
+
+
+def test_5_energy_of_errors_that_are_made_good_a_sample_later():
     """An error of one unit at a channel's input, taken back at the next sample: the sum of squares
     of what it does to the currents, sample by sample.
     """

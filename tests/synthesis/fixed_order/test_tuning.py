@@ -840,7 +840,7 @@ def test_the_turboexpander_holds_from_standstill_to_full_speed(rate, all_rounds)
     assert max(peaks) < (2.5 if rate is None else 2.75)
 
 
-def test_the_sum_of_powers_of_singular_values_and_its_slope():
+def test_3_of_the_objective_the_sum_of_powers_of_singular_values_and_its_slope():
     """Beside LAPACK's singular values; the slope beside central differences."""
     rng = np.random.default_rng(3)
     T = rng.normal(size=(450, 3, 2)) + 1j * rng.normal(size=(450, 3, 2))

@@ -84,15 +84,15 @@ class Points:
 
 
 def judge_sensitivity(
-    machine: Machine, loop: ShaftLoop, given: LawLike, timing: Timing | None
+    machine: Machine, loop: ShaftLoop, controller: LawLike, timing: Timing | None
 ) -> Points:
     """All operating points that the law covers; loop: at the one of the analysis, which counts even
     where it is none of the machine file's.
     """
-    law = law_of(given)
-    points, own = list(machine.operation.envelope), loop.plant.point
-    if own not in [replace(point, label=own.label) for point in points]:
-        points.append(own)
+    law = law_of(controller)
+    points, analysed = list(machine.operation.envelope), loop.plant.point
+    if analysed not in [replace(point, label=analysed.label) for point in points]:
+        points.append(analysed)
     judged: list[Checks] = []
     uncovered: list[str] = []
     for point in points:
@@ -133,18 +133,20 @@ def point_rows(points: Points, machine: Machine) -> Iterator[Item]:
         edition: str,
         clause: str,
         basis: str = OWN,
-        most: float = math.inf,
-        more: str = "",
+        largest_limit: float = math.inf,
+        remark: str = "",
     ) -> Iterator[Item]:
-        found = [
+        # the worst of the checks named ``of`` over all points; its limit, or that of the standard
+        # where that is less
+        candidates = [
             (item, checks.label) for checks in judged for item in checks.checks if item.name in of
         ]
-        if not found:
+        if not candidates:
             return
-        worst, where = max(found, key=lambda pair: _severity(pair[0]))
-        limit = worst.limit if worst.limit is None else min(worst.limit, most)
-        if limit is None and math.isfinite(most):
-            limit = most
+        worst, where = max(candidates, key=lambda pair: _severity(pair[0]))
+        limit = worst.limit if worst.limit is None else min(worst.limit, largest_limit)
+        if limit is None and math.isfinite(largest_limit):
+            limit = largest_limit
         axis = worst.name.rpartition(".")[2]
         place = f"axis {axis}, " if axis in machine.axes else ""
         yield Item(
@@ -158,7 +160,7 @@ def point_rows(points: Points, machine: Machine) -> Iterator[Item]:
             worst.relation,
             limit,
             None if limit is None else _meets(worst.value, worst.relation, limit),
-            f"{place}{worst.detail}{_others(found, where)}{more}",
+            f"{place}{worst.detail}{_others(candidates, where)}{remark}",
         )
 
     axes = tuple(f"sensitivity.output.{axis}" for axis in machine.axes)
@@ -189,7 +191,7 @@ def point_rows(points: Points, machine: Machine) -> Iterator[Item]:
         ("sensitivity.output.max",),
         "Machine file",
         "sensitivity_peak, for all axes together",
-        more=unstable,
+        remark=unstable,
     )
 
 
@@ -206,13 +208,15 @@ def _meets(value: float, relation: str, limit: float) -> bool:
     return value >= limit if relation == ">=" else value <= limit
 
 
-def _others(found: list[tuple[Check, str]], worst: str) -> str:
-    """The worst value of every other operating point."""
-    best: dict[str, Check] = {}
-    for check, label in found:
-        if label not in best or _severity(check) > _severity(best[label]):
-            best[label] = check
-    words = [f"{label} {check.value:.4g}" for label, check in best.items() if label != worst]
+def _others(checks: list[tuple[Check, str]], worst: str) -> str:
+    """The worst value at every operating point but ``worst``, in words; checks with their points'
+    labels.
+    """
+    at_point: dict[str, Check] = {}
+    for check, label in checks:
+        if label not in at_point or _severity(check) > _severity(at_point[label]):
+            at_point[label] = check
+    words = [f"{label} {check.value:.4g}" for label, check in at_point.items() if label != worst]
     return f"; at the others {', '.join(words)}" if words else ""
 
 
@@ -226,9 +230,8 @@ def least_decrements(loop: ShaftLoop, table: tuple[ModeRow, ...]) -> tuple[ModeR
     """The rows with the least log decrement found and the member that has it."""
     names = [tolerance.parameter for tolerance in loop.plant.machine.tolerances]
     members = [{name: side} for name in names for side in (-1.0, 1.0)]
-    found = [dict[str, float]() for _ in table]
     best = [(row.mode.log_decrement, "nominal") for row in table]
-    slopes = np.zeros((len(table), len(names)))
+    slopes = np.zeros((len(table), len(names)))  # log decrement at the upper less at the lower end
     for k, member in enumerate(members):
         moved = _moved(loop, member)
         if moved is None:
@@ -247,7 +250,6 @@ def least_decrements(loop: ShaftLoop, table: tuple[ModeRow, ...]) -> tuple[ModeR
             for name, slope in zip(names, slopes[j], strict=True)
             if slope
         }
-        found[j] = corner
         moved = _moved(loop, corner) if corner else None
         value = None if moved is None else _decrement(moved, row)
         if value is not None and value < best[j][0]:
@@ -330,6 +332,9 @@ def _moved(loop: ShaftLoop, member: dict[str, float]) -> ShaftLoop | None:
 
 
 def _decrement(loop: ShaftLoop, row: ModeRow) -> float | None:
+    """The log decrement -2 pi Re s/|Im s| of the pole s that a mode has moved to; None where it is
+    lost, or no longer rings.
+    """
     try:
         pole, _ = loop.mode_near(row.mode.pole, row.mode.states)
     except NumericalFailure:
@@ -380,12 +385,12 @@ def with_blocks(
         name = f"synchronous.{k}"
         words = f", {item.label} on"
         progress(f"unbalance response with the {item.label}")
-        found = [*_unbalance(item, off, loop_at, speeds, scale, through, words)]
+        block_rows = [*_unbalance(item, off, loop_at, speeds, scale, through, words)]
         try:
-            found += _judged(item, words, progress)
+            block_rows += _judged(item, words, progress)
         except InvalidInput as error:
-            found.append(_undone("stability", f"{item.label}: {error}"))
-        yield from (replace(row, name=f"{name}.{row.name}") for row in found)
+            block_rows.append(_undone("stability", f"{item.label}: {error}"))
+        yield from (replace(row, name=f"{name}.{row.name}") for row in block_rows)
 
 
 def _undone(name: str, why: str) -> Item:
@@ -432,7 +437,9 @@ def _unbalance(
     through: Sequence[float],
     words: str,
 ) -> Iterator[Item]:
-    """Critical speeds, vibration, clearances and capacity within the block's band."""
+    """Critical speeds, vibration, clearances and capacity within the block's band; words: behind
+    every title. The rest as of ``with_blocks``.
+    """
     lowest, highest, trip = speeds
     low = max(item.block.band[0], float(off.speeds[0]))
     high = min(item.block.band[1], float(off.speeds[-1]))
@@ -583,6 +590,7 @@ def lateral(
         return shaft_loop(layout, replace(chosen, speed=speed, label=""), law, timing)
 
     at_top = loop_at(chosen.speed)
+    # notes on what was assumed, before those of the results
     early = tuple(text[0].upper() + text[1:] + "." for text in clearance_doubts(machine))
     if stated is None and not _covers(loop_at, trip):
         early = (
@@ -609,12 +617,14 @@ def lateral(
     )
     progress("how far the response goes")
     knots = speed_knots(machine, slowest, math.inf)
+    # far: the last speed of the response, the speeds that it must pass, where it is unstable
     far = reach(loop_at, slowest, (lowest, highest), trip, knots)
     unstable = _unstable_at(at_top, loop_at, law, timing, (lowest, highest, trip))
     bare = replace(bare, along=far.along)
     if unstable is None and far.unstable is not None:
         unstable = _pole_in_words(*far.unstable)
     progress("modes")
+    # near [rad/s]: up to here modes are judged and excite placements of unbalance
     near = max(standard.MODES_TO * trip, far.asked)
     listed = _listed_to(at_top, near)
     bare = replace(bare, modes_to=listed)
@@ -652,11 +662,11 @@ def lateral(
         found_reading, member = largest_over_tolerances(loop_at, whole, reading, (lowest, highest))
         widest = (rows.vibration_over_tolerances(found_reading, member, lowest, highest),)
     limit = standard.vibration_limit(highest / standard.RPM)
-    # S_cc = A_vl/A_max
+    # scale: S_cc = A_vl/A_max of the clearance check within its bounds, and as it is
     largest = 1e6 * reading.peak_to_peak  # [um]
     uncapped = limit / largest if largest else math.inf
     scale = (max(1.0, min(standard.LARGEST_SCALE, uncapped)), uncapped)
-    found = rubs(response, scale[0])
+    at_clearances = rubs(response, scale[0])
     budgets = phase_budgets(at_top, timing)
     progress("Level I")
     one, why, notes = _level_one(machine, layout, chosen, law, timing, near, density)
@@ -690,7 +700,7 @@ def lateral(
         rows.reached(far, whole, highest),
         *rows.unbalance(whole, reading, (lowest, highest), scale),
         *widest,
-        *rows.clearances(found),
+        *rows.clearances(at_clearances),
         *rows.level_one(one, density, why),
         *rows.level_two(table, highest, law is not None),
         *rows.as_it_runs([loop_at(w) for w in sorted({lowest, highest, trip})], law, timing),
@@ -698,7 +708,7 @@ def lateral(
         *rows.phase(budgets),
         *rows.circuit(circuit_change(machine, chosen, law, timing, modes)),
         *everywhere,
-        *rows.iso_vibration(machine, found, scale[0], (slowest, trip)),
+        *rows.iso_vibration(machine, at_clearances, scale[0], (slowest, trip)),
         *blocks_on,
         *rows.not_covered(machine),
     )
@@ -717,7 +727,7 @@ def lateral(
         bare,
         items=tuple(items),
         modes=table,
-        rubs=found,
+        rubs=at_clearances,
         response=whole,
         level_one=one,
         capacities=capacity,

@@ -105,7 +105,7 @@ def critical_map(
     layout: Layout,
     at_top: ShaftLoop,
     loop_at: Callable[[float], ShaftLoop],
-    given: LawLike | None,
+    controller: LawLike | None,
     speeds: tuple[float, float],
 ) -> CriticalMap:
     """The map of a machine, with its bearings' stiffness from one speed to another [rad/s].
@@ -113,7 +113,7 @@ def critical_map(
     loop_at: speed -> loop, for a law that follows the speed; others are those of ``at_top``.
     """
     free = _free(layout)
-    scheduled = given is not None and law_of(given).follows(SPEED)
+    scheduled = controller is not None and law_of(controller).follows(SPEED)
     omega = np.linspace(*speeds, _SPEEDS)
     supports = tuple(
         _joined([*_magnets(at_top, loop_at if scheduled else None, omega), *_films(layout, omega)])
@@ -138,6 +138,7 @@ def critical_map(
 
 
 def _free(layout: Layout) -> _Free:
+    """The free rotor of a layout; both planes are alike."""
     machine = layout.machine
     rotor = finite_element_rotor(machine)
     modes = modes_of(machine, rotor, None)
@@ -162,8 +163,8 @@ def _on_rigid(free: _Free) -> np.ndarray:
 
 def _speeds(inertia: np.ndarray, springs: np.ndarray) -> np.ndarray:
     """W, ascending, of springs v = W^2 inertia v with positive definite springs."""
-    inverse = eigvalsh(inertia, springs)
-    return np.sort(inverse[inverse > 0] ** -0.5)
+    inverse_squares = eigvalsh(inertia, springs)  # 1/W^2
+    return np.sort(inverse_squares[inverse_squares > 0] ** -0.5)
 
 
 def _crossings(free: _Free, support: Support, count: int) -> Iterator[Crossing]:
@@ -185,8 +186,8 @@ def _crossings(free: _Free, support: Support, count: int) -> Iterator[Crossing]:
                 continue
             low, high = support.speeds[k : k + 2]
             speed = float(brentq(excess, low, high, args=(number,)))
-            found = float(np.interp(speed, support.speeds, size))
-            yield Crossing(support.name, number + 1, speed, found)
+            stiffness = float(np.interp(speed, support.speeds, size))
+            yield Crossing(support.name, number + 1, speed, stiffness)
 
 
 def _magnets(

@@ -164,10 +164,10 @@ def sweep(
     if anticipated is not None:
         # a mode that is overdamped or backward without Q can ring forwards at Q_A
         ringing = [m for m in shaft_modes(coupled(anticipated), highest) if m.forward]
-        found = min(ringing, key=lambda mode: mode.log_decrement, default=None)
-        if found is not None:
-            at_anticipated = min(at_anticipated, found.log_decrement)
-            least = found.frequency
+        weakest = min(ringing, key=lambda mode: mode.log_decrement, default=None)
+        if weakest is not None:
+            at_anticipated = min(at_anticipated, weakest.log_decrement)
+            least = weakest.frequency
     screening = None
     if anticipated is not None:
         screening = standard.screen(anticipated, border, at_anticipated, speed_ratio, density)
@@ -234,8 +234,8 @@ def _late(
     where it no longer rings; None where it cannot be followed.
     """
     beyond = border * (1 + _BESIDE)
-    found = shaft_modes(coupled(beyond), highest)
-    mode = max(found, key=lambda item: item.pole.real, default=None)
+    modes = shaft_modes(coupled(beyond), highest)
+    mode = max(modes, key=lambda item: item.pole.real, default=None)
     if mode is None or mode.pole.real < 0:
         return None
     poles = np.full(len(grid), complex(-1.0))  # does not ring
@@ -299,11 +299,11 @@ def shares(loop: ShaftLoop, mode: ShaftMode) -> tuple[Share, ...]:
     energy = float((abs(s) ** 2 * np.abs(q) ** 2 + stiffness * np.abs(q) ** 2).sum()) / 4
     # -Re(q'^H (c q' + k [[0, 1], [-1, 0]] q))/2 of every mode
     damping, circulatory = modes.damping(machine, loop.point.speed)
-    own = q[: len(damping)]
-    turned = np.empty_like(own)
-    turned[0::2], turned[1::2] = own[1::2], -own[0::2]
-    resisting = damping * s * own + circulatory * turned
-    power = {INTERNAL: -float(np.real((s * own).conj() @ resisting)) / 2}
+    q_rotor = q[: len(damping)]
+    turned = np.empty_like(q_rotor)
+    turned[0::2], turned[1::2] = q_rotor[1::2], -q_rotor[0::2]
+    resisting = damping * s * q_rotor + circulatory * turned
+    power = {INTERNAL: -float(np.real((s * q_rotor).conj() @ resisting)) / 2}
     if len(base):
         power["supports"] = -float((base.damping * np.abs(s * q[-len(base) :]) ** 2).sum()) / 2
 

@@ -71,8 +71,8 @@ class ComparedResponse:
     @property
     def agreement(self) -> np.ndarray | None:
         """Share (p, m) of the lines at which the model does not disagree."""
-        found = self.validity
-        return None if found is None else (found.verdict != DISAGREES).mean(axis=0)
+        validity = self.validity
+        return None if validity is None else (validity.verdict != DISAGREES).mean(axis=0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -258,12 +258,12 @@ def respond(
             group, machine.axes, method=method, band=band, harmonics=harmonics, settle=settle
         )
         model = _Model(machine, group, controller, timing)
-        found = tuple(_responses(machine, loop, model))
+        responses = tuple(_responses(machine, loop, model))
         done.append(
             PointResponse(
                 group[0].point,
                 loop,
-                found,
+                responses,
                 tuple(_doubts(loop, group[0].point)),
                 tuple(_notes(loop, group[0])),
             )
@@ -322,6 +322,9 @@ class _Model:
 
 
 def _responses(machine: Machine, loop: LoopFrf, model: _Model) -> Iterator[ComparedResponse]:
+    """Of one operating point, measured beside the model: the motion, the sensitivity of every axis
+    that is driven by itself, and the plant where currents drive all axes apart.
+    """
     motion = loop.motion
     yield ComparedResponse(
         "motion",
@@ -334,15 +337,15 @@ def _responses(machine: Machine, loop: LoopFrf, model: _Model) -> Iterator[Compa
         kind, axis = group[0][:2], group[0][2:]
         if len(group) > 1 or axis not in machine.axes or (kind == "e_" and not loop.commanded):
             continue
-        own = loop.closed.select(group[0], f"v_{axis}" if kind == "e_" else f"y_{axis}")
-        predicted = model.loop_response(own, [group])
+        measured = loop.closed.select(group[0], f"v_{axis}" if kind == "e_" else f"y_{axis}")
+        predicted = model.loop_response(measured, [group])
         if kind == "r_":  # S_o = 1 - T_o
-            own = replace(own, values=1 - own.values)
+            measured = replace(measured, values=1 - measured.values)
             predicted = (
                 None if predicted is None else replace(predicted, values=1 - predicted.values)
             )
         yield ComparedResponse(
-            "sensitivity", f"Sensitivity of {axis}, the other loops closed", own, predicted
+            "sensitivity", f"Sensitivity of {axis}, the other loops closed", measured, predicted
         )
 
     # the plant needs currents as excitations throughout
@@ -376,16 +379,16 @@ def summary(point: PointResponse) -> list[dict[str, Any]]:
     for item in point.of("sensitivity"):
         frf = item.measured
         S, radius = np.abs(frf.values[:, 0, 0]), frf.radius()[:, 0, 0]
-        told = heard(frf)
-        margin, at = phase_margin(frf.omega, open_loop(frf).values[:, 0, 0], told)
-        size = np.where(told, S, -np.inf)
+        clear = heard(frf)
+        margin, at = phase_margin(frf.omega, open_loop(frf).values[:, 0, 0], clear)
+        size = np.where(clear, S, -np.inf)
         k = int(np.argmax(size))
-        some = bool(told.any())
+        some = bool(clear.any())
         rows.append(
             {
                 "axis": frf.inputs[0][2:],
-                "told": share(frf.omega, told),
-                "silent": where(frf.omega, told),
+                "told": share(frf.omega, clear),
+                "silent": where(frf.omega, clear),
                 "peak": float(S[k]) if some else None,
                 "peak_95": [float((size - radius).max()), float((size + radius).max())]
                 if some
@@ -400,6 +403,7 @@ def summary(point: PointResponse) -> list[dict[str, Any]]:
 
 
 def _doubts(loop: LoopFrf, point: OperatingPoint) -> Iterator[Finding]:
+    """Responses that are poorly known at many lines, and sines at the speed of the rotor."""
     motion = loop.motion
 
     # the largest entry of each column: small ones beside it may well be unsure
@@ -427,6 +431,7 @@ def _doubts(loop: LoopFrf, point: OperatingPoint) -> Iterator[Finding]:
 
 
 def _notes(loop: LoopFrf, record: Record) -> Iterator[str]:
+    """How it was measured, and what could not be, a sentence each."""
     f = loop.closed.omega / TWO_PI
     averaged = f", {loop.periods} averaged" if loop.periods else ""
     yield f"{IN_WORDS[loop.method]}{averaged}: {len(f)} lines from {f[0]:.4g} to {f[-1]:.4g} Hz"
@@ -463,6 +468,7 @@ def _notes(loop: LoopFrf, record: Record) -> Iterator[str]:
 
 
 def _plain(item: ComparedResponse) -> dict[str, Any]:
+    """A compared response as plain data, SI."""
     frf, agreement = item.measured, item.agreement
     return {
         "response": item.what,

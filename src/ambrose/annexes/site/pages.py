@@ -129,17 +129,17 @@ def _sections(loop: MeasuredLoop, requirement: float | None, several: bool) -> l
     )
 
     # T_ii = 1 - S_ii has the error of S_ii; the open loop of an axis is 1/S_ii - 1
-    told = loop.told[:, :-1]
+    clear = loop.told[:, :-1]
     T = np.abs(1 - np.einsum("wii->wi", loop.S))
     opened = {label: 1 / S_ii - 1 for label, S_ii in diagonal.items()}
     closed = {label: np.abs(1 - S_ii) for label, S_ii in diagonal.items()}
     none: list[tuple[tuple[str, float], ...]] = [()] * len(names)
     figures = (
         Figure(f"Sensitivity{where}", sensitivity, _SENSITIVITY),
-        Figure(f"Open loop{where}", nyquist(names, loop.omega, loop.loops, opened, told), _OPEN),
+        Figure(f"Open loop{where}", nyquist(names, loop.omega, loop.loops, opened, clear), _OPEN),
         Figure(
             f"Closed loop{where}",
-            panels(names, loop.omega, T, T - loop.half, T + loop.half, closed, none, told),
+            panels(names, loop.omega, T, T - loop.half, T + loop.half, closed, none, clear),
             _CLOSED,
         ),
     )
@@ -224,10 +224,10 @@ def in_words(result: Balancing) -> list[str]:
             f"better; to be {allowed}"
         )
     if result.runout_found and result.runout.any():
-        told = ", ".join(
+        runout = ", ".join(
             f"{1e6 * abs(r):.3g} µm at {np.degrees(np.angle(r)):.0f}°" for r in result.runout
         )
-        lines.append(f"Run-out at 1x, by the speeds: {told}")
+        lines.append(f"Run-out at 1x, by the speeds: {runout}")
     if result.scale is not None:
         scale = result.scale
         lines.append(
@@ -285,6 +285,7 @@ def bias_page(done: BiasCampaign, *, date: str = "") -> Page:
 
 
 def _figures(done: BiasCampaign) -> Iterator[Figure]:
+    """K_i and K_s over the bias current, a figure each."""
     for quantity, name, unit in _QUANTITIES:
         yield Figure(
             name, _picture(done, quantity, unit), _CAPTION if quantity == _QUANTITIES[0][0] else ""
@@ -292,6 +293,7 @@ def _figures(done: BiasCampaign) -> Iterator[Figure]:
 
 
 def _picture(done: BiasCampaign, quantity: str, unit: str) -> Any:
+    """One coefficient over the bias current: a panel per axis, both methods and the file's line."""
     axes = [(b, way) for b in done.given.bearings for way in ("zeta", "eta")]
     titles = [f"<b>{theme.plain(units.axis_name(f'{b.name}_{way}'))}</b>" for b, way in axes]
     rows = -(-len(axes) // _COLUMNS)
@@ -300,13 +302,15 @@ def _picture(done: BiasCampaign, quantity: str, unit: str) -> Any:
 
     # one scale for all axes, of the largest value found
     every = [row.values(static) for row in done.rows for static in (False, True)]
-    found = [value for values in every for path, (value, _) in values.items() if quantity in path]
-    factor, shown = units.scale(unit, max(map(abs, found), default=0.0))
+    sizes = [
+        abs(value) for values in every for path, (value, _) in values.items() if quantity in path
+    ]
+    factor, shown = units.scale(unit, max(sizes, default=0.0))
     span = np.linspace(min(row.bias for row in done.rows), max(row.bias for row in done.rows), 30)
     for k, (bearing, way) in enumerate(axes):
         place, first = {"row": k // _COLUMNS + 1, "col": k % _COLUMNS + 1}, k == 0
         path = f"bearing.{bearing.name}.{quantity}.{way}"
-        line = np.array([_file(bearing, quantity, way, float(bias)) for bias in span])
+        line = np.array([_by_file(bearing, quantity, way, float(bias)) for bias in span])
         if np.isfinite(line).any():
             look = {"color": theme.MUTED, "width": 1.2}
             theme.scatter(
@@ -339,7 +343,10 @@ def _picture(done: BiasCampaign, quantity: str, unit: str) -> Any:
     return picture
 
 
-def _file(bearing: Any, quantity: str, way: str, bias: float) -> float:
+def _by_file(bearing: Any, quantity: str, way: str, bias: float) -> float:
+    """The machine file's coefficient along zeta or eta at a bias current [A]; NaN where there is
+    none.
+    """
     try:
         return float(
             getattr(magnet.linearised(bearing, bias), quantity)[("zeta", "eta").index(way)]
@@ -414,7 +421,7 @@ def frf_page(found: Responses, *, date: str = "") -> Page:
     sections = [
         section
         for point in found.points
-        for section in _sections_of_frf_page(found, point, f", {point.label}" if several else "")
+        for section in _point_sections(found, point, f", {point.label}" if several else "")
     ]
     methods = ", ".join(dict.fromkeys(IN_WORDS[point.loop.method] for point in found.points))
     facts = (
@@ -436,11 +443,12 @@ def frf_page(found: Responses, *, date: str = "") -> Page:
     )
 
 
-def _sections_of_frf_page(found: Responses, point: PointResponse, where: str) -> Iterator[Section]:
-    pictures = [*_closed(point.of("motion")[0], where), *_loops(found, point, where)]
+def _point_sections(found: Responses, point: PointResponse, where: str) -> Iterator[Section]:
+    """Figures and tables of one operating point; where: its name, behind every title."""
+    pictures = [*_closed(point.of("motion")[0], where), *_sensitivities(found, point, where)]
     for item in point.of("plant"):
         pairs = [(f"v_{axis}", f"y_{axis}") for axis in found.machine.axes]
-        pictures += _bode(item, pairs, f"Plant{where}", _PLANT, "m/A", found)
+        pictures += _bode(item, pairs, f"Plant{where}", _PLANT, "m/A")
     yield Section(
         f"Open and closed loop{where}",
         units.prose(tables.capitalised(point.notes)),
@@ -455,15 +463,15 @@ def _closed(item: ComparedResponse, where: str) -> Iterator[Figure]:
     pairs = [
         (source, frf.outputs[i]) for j, source in enumerate(frf.inputs) for i in _answers(frf, j)
     ]
-    yield from _bode(item, pairs, f"Closed loop{where}", _CLOSED_FRF_PAGE, unit, None)
+    yield from _bode(item, pairs, f"Closed loop{where}", _CLOSED_FRF_PAGE, unit)
 
 
 def _answers(frf: Frf, j: int) -> list[int]:
     """Outputs that answer to input j: its own axis, else those near the largest."""
     axis = frf.inputs[j][2:]
-    own = [i for i, name in enumerate(frf.outputs) if name[2:] == axis]
-    if own:
-        return own
+    same_axis = [i for i, name in enumerate(frf.outputs) if name[2:] == axis]
+    if same_axis:
+        return same_axis
     size = np.median(np.abs(frf.values[:, :, j]), axis=0)
     return [int(i) for i in np.flatnonzero(size > _HARDLY * size.max())]
 
@@ -474,8 +482,10 @@ def _bode(
     title: str,
     caption: str,
     unit: str,
-    found: Responses | None,
 ) -> Iterator[Figure]:
+    """Magnitude, phase and coherence of the (input, output) pairs of a response, a few to a figure;
+    caption: below the first; unit: output over input.
+    """
     groups = [pairs[k : k + _COLUMNS_FRF_PAGE] for k in range(0, len(pairs), _COLUMNS_FRF_PAGE)]
     points = len(item.measured.omega) < 40
     for number, group in enumerate(groups, 1):
@@ -495,6 +505,7 @@ def _bode(
 
 
 def _named(source: str, target: str) -> str:
+    """A path by its axis, or from one axis to another."""
     same = source[2:] == target[2:]
     return (
         units.axis_name(target[2:])
@@ -503,7 +514,8 @@ def _named(source: str, target: str) -> str:
     )
 
 
-def _loops(found: Responses, point: PointResponse, where: str) -> Iterator[Figure]:
+def _sensitivities(found: Responses, point: PointResponse, where: str) -> Iterator[Figure]:
+    """Sensitivity and open loop of every axis that was driven by itself."""
     items = point.of("sensitivity")
     if not items:
         return
@@ -515,10 +527,10 @@ def _loops(found: Responses, point: PointResponse, where: str) -> Iterator[Figur
     half = np.column_stack([item.measured.radius()[:, 0, 0] for item in items])
     L = np.column_stack([open_loop(item.measured).values[:, 0, 0] for item in items])
     models = [item.model.values[:, 0, 0] for item in items if item.model is not None]
-    told = {"model": np.column_stack(models)} if len(models) == len(items) else {}
+    predicted = {"model": np.column_stack(models)} if len(models) == len(items) else {}
     limits = zone_lines(SENSITIVITY, found.machine.requirements.sensitivity_peak)
     size, drawn = np.abs(S), np.column_stack([heard(item.measured) for item in items])
-    moduli = {label: np.abs(value) for label, value in told.items()}
+    moduli = {label: np.abs(value) for label, value in predicted.items()}
     yield Figure(
         f"Sensitivity{where}",
         panels(names, omega, size, size - half, size + half, moduli, [limits] * len(names), drawn),
@@ -526,7 +538,7 @@ def _loops(found: Responses, point: PointResponse, where: str) -> Iterator[Figur
     )
     yield Figure(
         f"Open loop{where}",
-        nyquist(names, omega, L, {k: 1 / v - 1 for k, v in told.items()}, drawn),
+        nyquist(names, omega, L, {k: 1 / v - 1 for k, v in predicted.items()}, drawn),
         _OPEN_FRF_PAGE,
     )
 
@@ -546,7 +558,7 @@ def response_tables(found: Responses, point: PointResponse) -> Iterator[Table]:
         crossing = (
             "" if row["unit_gain_at"] is None else units.quantity(row["unit_gain_at"], "rad/s")
         )
-        told = (
+        texts = (
             units.number(row["peak"]) if row["peak"] else "not told",
             f"{units.number(low)} … {units.number(high)}" if row["peak"] else "",
             units.quantity(row["at"], "rad/s") if row["peak"] else "",
@@ -554,7 +566,7 @@ def response_tables(found: Responses, point: PointResponse) -> Iterator[Table]:
             margin,
             crossing,
         )
-        rows.append((units.axis_name(row["axis"]), *numbers(*told)))
+        rows.append((units.axis_name(row["axis"]), *numbers(*texts)))
         if row["silent"]:
             silent.append(f"{units.axis_name(row['axis'])}: {row['silent']}")
     if rows:
@@ -612,7 +624,7 @@ def retuning_page(done: Retuning, *, date: str = "") -> Page:
     sections = [_steps(done)]
     if done.identification is not None:
         sections.append(_machine(done))
-    sections += _loops_of_page(done)
+    sections += _before_and_after(done)
     if done.switches:
         sections.append(_switches(done))
     if done.acceptance is not None:
@@ -679,7 +691,8 @@ def _machine(done: Retuning) -> Section:
     return Section("The machine as it is", remarks, (change,), (parameters_table(result),), True)
 
 
-def _loops_of_page(done: Retuning) -> Iterator[Section]:
+def _before_and_after(done: Retuning) -> Iterator[Section]:
+    """The loop with the running and with the new controller, and both over the intervals."""
     before, after = done.before, done.after
     if before is None:
         return
@@ -712,6 +725,7 @@ def _loops_of_page(done: Retuning) -> Iterator[Section]:
 
 
 def _compared(before: Verification, after: Verification | None) -> Table:
+    """What a person asks of a loop, ``_COMPARED``, at every operating point."""
     columns = ("Operating point", "Quantity", "Running", *(() if after is None else ("New",)))
     rows: list[Row] = []
     for old in before.points:
@@ -723,14 +737,14 @@ def _compared(before: Verification, after: Verification | None) -> Table:
                 for name, way in zip(("running", "new"), ways, strict=True)
             )
         for name, words in _COMPARED:
-            found = [_named_of_page(checks, name) for checks in pair]
-            if any(check is not None for check in found):
-                cells = map(_cell, found, [checks.stable for checks in pair])
+            named = [_check_named(checks, name) for checks in pair]
+            if any(check is not None for check in named):
+                cells = map(_cell, named, [checks.stable for checks in pair])
                 rows.append((label, words, *cells))
     return Table("Point by point", columns, tuple(rows), "", by_cell=True)
 
 
-def _named_of_page(checks: Checks, name: str) -> Check | None:
+def _check_named(checks: Checks, name: str) -> Check | None:
     return next((check for check in checks.checks if check.name == name), None)
 
 
@@ -769,6 +783,7 @@ def _switches(done: Retuning) -> Section:
 
 
 def _moved(run: Switch) -> tuple[object, str]:
+    """The displacements about the change of controllers as a picture, and what lies beyond it."""
     record = run.trace.record
     names = tuple(name for name in record.signals if name.startswith("y_"))
     y = np.array([record[name] for name in names])

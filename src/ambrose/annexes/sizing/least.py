@@ -107,14 +107,14 @@ def resized(machine: Machine, size: Size) -> Machine:
     file's coefficients.
     """
     # magnets of the size, then the currents that hold the static load in them
-    given = operating_magnets(machine)
+    by_file = operating_magnets(machine)
     bearings = tuple(
-        _bearing(b, item.of_force, size) for b, item in zip(machine.bearings, given, strict=True)
+        _bearing(b, item.of_force, size) for b, item in zip(machine.bearings, by_file, strict=True)
     )
-    found = replace(machine, bearings=bearings, amplifier=_amplifier(machine.amplifier, size))
-    held = operating_magnets(found)
+    sized = replace(machine, bearings=bearings, amplifier=_amplifier(machine.amplifier, size))
+    magnets = operating_magnets(sized)
     free = []
-    for bearing, item in zip(bearings, held, strict=True):
+    for bearing, item in zip(bearings, magnets, strict=True):
         # what the static load leaves of the largest control current, kept positive
         most = _most(bearing, machine.requirements.max_current)
         free.append(
@@ -126,7 +126,7 @@ def resized(machine: Machine, size: Size) -> Machine:
     # K_p k_i/k_s is kept: gains in the proportion of k_s/k_i, axis by axis, else by the mean
     settings = machine.reference or first_settings(machine)
     factors = np.concatenate(
-        [need(after) / need(before) for before, after in zip(given, held, strict=True)]
+        [need(after) / need(before) for before, after in zip(by_file, magnets, strict=True)]
     )
     controller = settings
     if settings.gain:  # chains of filters have their gains in their channels, and begin as they are
@@ -135,14 +135,14 @@ def resized(machine: Machine, size: Size) -> Machine:
             if len(settings.gain) == len(factors)
             else np.full(len(settings.gain), settings.gain[0])
         )
-        own = (
+        of_gains = (
             factors
             if len(settings.gain) == len(factors)
             else np.full(len(settings.gain), factors.mean())
         )
-        controller = replace(settings, gain=tuple((np.array(gains) * own).tolist()))
+        controller = replace(settings, gain=tuple((np.array(gains) * of_gains).tolist()))
     return replace(
-        found,
+        sized,
         bearings=tuple(free),
         controller=controller,
         requirements=replace(machine.requirements, max_current=None),
@@ -151,7 +151,7 @@ def resized(machine: Machine, size: Size) -> Machine:
 
 def costs(machine: Machine, size: Size) -> Costs:
     """What magnets and amplifiers of a size cost, over those of the machine file."""
-    found = replace(
+    sized = replace(
         machine,
         bearings=tuple(
             _bearing(b, item.of_force, size)
@@ -160,13 +160,13 @@ def costs(machine: Machine, size: Size) -> Costs:
     )
 
     # resistive loss: all coil currents squared, times the length of a turn
-    loss = [_squares(item) for item in (found, machine)]
+    loss = [_squares(item) for item in (sized, machine)]
 
     # reserve: force at the largest control current over the weight along each axis, the
     # least of all
     weight = np.abs(static_sag(machine)[1])
     reserve = np.inf
-    for bearing, item, load in zip(found.bearings, operating_magnets(found), weight, strict=True):
+    for bearing, item, load in zip(sized.bearings, operating_magnets(sized), weight, strict=True):
         most = _most(bearing)
         if item.parameters is None:
             reserve = 0.0
@@ -199,13 +199,8 @@ def drives(machine: Machine, size: Size, turns: Sequence[float] = TURNS) -> tupl
 
     # the frequency of the sine [rad/s]: top speed, or sqrt(sum k_s/m)
     stiffness = sum(max(item.negative_stiffness) for item in slopes)
-    rate, found = (
-        max(
-            top_speed(machine),
-            (stiffness / mass_properties(finite_element_rotor(machine)).mass) ** 0.5,
-        ),
-        [],
-    )
+    mass = mass_properties(finite_element_rotor(machine)).mass
+    rate, needs = max(top_speed(machine), (stiffness / mass) ** 0.5), []
     for bearing, here in zip(magnets, slopes, strict=True):
         k_i = max(here.force_per_current)
         k_s = max(here.negative_stiffness)
@@ -218,10 +213,10 @@ def drives(machine: Machine, size: Size, turns: Sequence[float] = TURNS) -> tupl
             L = VACUUM_PERMEABILITY * of.turns**2 * of.pole_area / (2 * of.gap)
         else:
             L = k_i**2 / (2 * k_s) if k_s > 0 else 0.0
-        found.append((rate * L * _most(bearing), _most(bearing), bearing.bias_current, L))
+        needs.append((rate * L * _most(bearing), _most(bearing), bearing.bias_current, L))
 
     # n times the turns at the same flux: currents by 1/n, L by n^2, voltage w L i by n
-    voltage, current, bias, inductance = max(found)
+    voltage, current, bias, inductance = max(needs)
     return tuple(Drive(n, bias / n, current / n, n**2 * inductance, n * voltage) for n in turns)
 
 
@@ -233,7 +228,9 @@ def flux_within(machine: Machine, size: Size) -> bool:
 
 
 def _bearing(bearing: MagneticBearing, p: tuple[float, ...], size: Size) -> MagneticBearing:
-    # a force limit goes with the area, a current limit with the bias
+    """A bearing whose magnet, ``magnet.parameters`` p, has another size: a force limit goes with
+    the area, a current limit with the bias.
+    """
     bias, area = size.bias * p[0], size.area
     here = magnet.of_size(p, bias, area)
     return replace(
@@ -251,14 +248,17 @@ def _bearing(bearing: MagneticBearing, p: tuple[float, ...], size: Size) -> Magn
     )
 
 
-def _amplifier(given: Amplifier, size: Size) -> Amplifier:
+def _amplifier(by_file: Amplifier, size: Size) -> Amplifier:
+    """The amplifier with its rates times the bandwidth's share; a coil's inductance goes with the
+    area.
+    """
     rates = {
         name: size.bandwidth * value
         for name in ("bandwidth", "natural_frequency", "damping")
-        if (value := getattr(given, name)) is not None
+        if (value := getattr(by_file, name)) is not None
     }
-    inductance = None if given.inductance is None else size.area * given.inductance
-    return replace(given, **rates, inductance=inductance)
+    inductance = None if by_file.inductance is None else size.area * by_file.inductance
+    return replace(by_file, **rates, inductance=inductance)
 
 
 def _most(bearing: MagneticBearing, wanted: float | None = None) -> float:
@@ -363,13 +363,13 @@ def attempt(
     KeyboardInterrupt.
     """
     price = costs(machine, size)
-    found = resized(machine, size)
-    words = _screened(machine, found, size, price, method, reserve)
+    sized = resized(machine, size)
+    words = _screened(machine, sized, size, price, method, reserve)
     if words:
-        return Trial(size, found, price, float("inf"), words)
+        return Trial(size, sized, price, float("inf"), words)
 
     # the neighbour's controller first; the reference where that does not meet all
-    best = Trial(size, found, price, float("inf"), "no controller was found")
+    best = Trial(size, sized, price, float("inf"), "no controller was found")
     for start in (near, None) if near is not None else (None,):
         trial = _tuned(best, method, start, time_limit)
         if trial.ratio < best.ratio or best.synthesis is None:
@@ -385,12 +385,12 @@ def attempt(
 
 def _tuned(before: Trial, method: Tuned, near: Trial | None, time_limit: float) -> Trial:
     """The trial with a controller, tuned from a neighbour's, or from the reference controller."""
-    found = before.machine
+    machine = before.machine
     try:
-        job, law = tuning_job(found, method, time_limit)
+        job, law = tuning_job(machine, method, time_limit)
         synthesis = tuned(
             job,
-            law if near is None else _scaled(near, found),
+            law if near is None else _scaled(near, machine),
             method.structure,
             again=0 if near is None else AGAIN,
         )
@@ -400,8 +400,8 @@ def _tuned(before: Trial, method: Tuned, near: Trial | None, time_limit: float) 
         raise KeyboardInterrupt
 
     # unbalance and loads over what bias, current, force and voltage leave
-    timing = method.timing(found)
-    margin, words = capacity_margin(found, synthesis.controller, timing, weight_taken=True)
+    timing = method.timing(machine)
+    margin, words = capacity_margin(machine, synthesis.controller, timing, weight_taken=True)
 
     # what binds: the largest ratio of a value to its limit
     ratios = synthesis.ratios
@@ -422,14 +422,14 @@ def _tuned(before: Trial, method: Tuned, near: Trial | None, time_limit: float) 
 
 
 def _screened(
-    given: Machine, found: Machine, size: Size, price: Costs, method: Tuned, reserve: float
+    machine: Machine, sized: Machine, size: Size, price: Costs, method: Tuned, reserve: float
 ) -> str:
-    """Why no controller can hold a size; "" where one may."""
-    if not flux_within(given, size):
+    """Why no controller can hold a machine ``sized`` as it is; "" where one may."""
+    if not flux_within(machine, size):
         return (
             "flux density: the machine file states no iron, and its own largest current is passed"
         )
-    if any(item.doubt for item in operating_magnets(found)) or price.reserve < reserve:
+    if any(item.doubt for item in operating_magnets(sized)) or price.reserve < reserve:
         return (
             f"static load: the force at the largest current is {price.reserve:.3g} times it, "
             f"required {reserve:.3g}"
@@ -437,26 +437,26 @@ def _screened(
 
     # the sensitivity that no controller avoids, given the unstable poles and the delay
     limit = (
-        demand("maximum singular value of a sensitivity", found.requirements).limit
+        demand("maximum singular value of a sensitivity", sized.requirements).limit
         or SENSITIVITY.limits[0].value
     )
     try:
         return beyond_reach(
-            *unavoidable_sensitivity(assemble(found, found.operation.design), method.timing(found)),
+            *unavoidable_sensitivity(assemble(sized, sized.operation.design), method.timing(sized)),
             limit,
         )
     except (InvalidInput, NumericalFailure) as error:
         return str(error)
 
 
-def _scaled(near: Trial, found: Machine) -> StateSpace:
-    """A neighbour's controller with the gain that gives the same force per displacement, over what
-    the magnets need.
+def _scaled(near: Trial, sized: Machine) -> StateSpace:
+    """A neighbour's controller for another size: with the gain that gives the same force per
+    displacement, over what the magnets need.
     """
     # K_p k_i/k_s is kept: the gain by the mean k_s/k_i after over before
     before, after = (
         np.mean([need(item) for item in operating_magnets(machine)])
-        for machine in (near.machine, found)
+        for machine in (near.machine, sized)
     )
     K = near.controller
     assert K is not None
@@ -575,6 +575,7 @@ def _least_gain(
     """
     axes = len(machine.axes)
     orders = _PER_AXIS if method.order is None else (method.order / axes,)
+    # gain [A/m], whether all is met with it, what binds, the controller
     best: tuple[float, bool, str, Synthesis | None] = (float("inf"), False, "", None)
     searched: list[str] = []
     for order in (round(axes * states) for states in orders):
@@ -595,13 +596,13 @@ def _least_gain(
             searched.append(f"{order} states from {start}")
             if not searched[:-1] or (not here[1], here[0]) < (not best[1], best[0]):
                 best = here
-    value, met, binding, found = best
+    value, met, binding, synthesis = best
     return Least(
         "gain",
         value if met else float("inf"),
         0.0,
         binding,
-        found,
+        synthesis,
         machine,
         ", ".join(searched),
     )
@@ -613,7 +614,7 @@ def _heaviest(machine: Machine, method: Tuned, progress: Callable[[str], None]) 
     if weights is None or weights.control_level is None or not machine.tolerances:
         needs = machine.in_file("[weights] with control_level, and a [[tolerance]]")
         raise InvalidInput(f"lever weight needs {needs}; add them, or take lever gain")
-    found: dict[float, Synthesis] = {}
+    designs: dict[float, Synthesis] = {}
     mu_method = Mu(
         rate=method.rate,
         delay_samples=method.delay_samples,
@@ -627,9 +628,9 @@ def _heaviest(machine: Machine, method: Tuned, progress: Callable[[str], None]) 
             replace(machine, weights=replace(weights, control_level=level)),
             machine.operation.design,
         )
-        found[factor] = design(plant, mu_method)
-        progress(f"{factor:.3g} of control_level: mu {found[factor].gamma:.4g}")
-        return found[factor].gamma
+        designs[factor] = design(plant, mu_method)
+        progress(f"{factor:.3g} of control_level: mu {designs[factor].gamma:.4g}")
+        return designs[factor].gamma
 
     low = high = 1.0
 
@@ -638,18 +639,18 @@ def _heaviest(machine: Machine, method: Tuned, progress: Callable[[str], None]) 
         high, low = low, low / 2
     while low == high and low < 1 / _LOWEST:
         low, high = (2 * low, 2 * low) if mu(2 * low) <= 1 else (low, 2 * low)
-    if found[low].gamma > 1:
+    if designs[low].gamma > 1:
         return Least("weight", 0.0, low, "mu", machine=machine, searched=_BISECTED)
 
     # the largest that is tried met it as well: none failed
     if low == high:
-        return Least("weight", low, 0.0, "the largest that is tried", found[low], machine)
+        return Least("weight", low, 0.0, "the largest that is tried", designs[low], machine)
 
     # bisection in the logarithm
     while high / low > _CLOSE:
         middle = (low * high) ** 0.5
         low, high = (middle, high) if mu(middle) <= 1 else (low, middle)
-    return Least("weight", low, high, "mu", found[low], machine, _BISECTED)
+    return Least("weight", low, high, "mu", designs[low], machine, _BISECTED)
 
 
 def _stepped(
@@ -660,6 +661,9 @@ def _stepped(
     time_limit: float,
     progress: Callable[[str], None],
 ) -> Least:
+    """The least share of area, bias or bandwidth: down by steps until one fails, then bisection;
+    each size begins with the controller of the next larger one that met all.
+    """
     best: Trial | None = None
     tried: list[Trial] = []
 
@@ -746,27 +750,34 @@ def price(
         (item for item in machine.tolerances if item.parameter == parameter),
         Tolerance(parameter, relative=1.0),
     )
-    found: list[Least] = []
+    minima: list[Least] = []
     sign = -1 if lever == "weight" else 1
     try:
         for width in wanted:
             progress(f"{parameter} +-{100 * width:.3g} %")
-            own = replace(
+            widened = replace(
                 machine, tolerances=(*others, replace(stated, absolute=None, relative=width))
             )
-            found.append(
-                least(own, lever, method, reserve=reserve, time_limit=time_limit, progress=progress)
+            minima.append(
+                least(
+                    widened,
+                    lever,
+                    method,
+                    reserve=reserve,
+                    time_limit=time_limit,
+                    progress=progress,
+                )
             )
     except KeyboardInterrupt:
-        if not found:
+        if not minima:
             raise
 
     # what holds a wider range holds a narrower one: from the widest down the better
     # of the two stays
-    for i in range(len(found) - 2, -1, -1):
-        if sign * found[i + 1].value < sign * found[i].value:
-            found[i] = found[i + 1]
-    return Price(parameter, tuple(wanted[: len(found)]), tuple(found))
+    for i in range(len(minima) - 2, -1, -1):
+        if sign * minima[i + 1].value < sign * minima[i].value:
+            minima[i] = minima[i + 1]
+    return Price(parameter, tuple(wanted[: len(minima)]), tuple(minima))
 
 
 # Magnets over pole area and bias current: which sizes guarantee what is asked, what binds, which is
@@ -837,11 +848,11 @@ class Sizing(Presented):
     def facts(self) -> Mapping[str, Any]:
         """How many sizes meet all, and the knee."""
         knee = self.knee
-        told = f"{sum(t.met for t in self.trials)} of {len(self.trials)}"
+        meeting = f"{sum(t.met for t in self.trials)} of {len(self.trials)}"
         if knee is None:
-            return {"sizes_that_meet_all": told, "knee": "none"}
+            return {"sizes_that_meet_all": meeting, "knee": "none"}
         return {
-            "sizes_that_meet_all": told,
+            "sizes_that_meet_all": meeting,
             "knee": f"{knee.size.area:.3g} of the area at {knee.size.bias:.3g} of the bias",
             "copper_loss": knee.costs.copper_loss,
             "volt_amperes": knee.costs.volt_amperes,

@@ -161,10 +161,10 @@ def _needed(rotor: complex, w: float, bearing: Bearing) -> tuple[float, float]:
         mu = max(A.imag / A.real, 0.0)
         return abs(A.real) * (1 + mu**2) - 1 / bearing.stiffness
 
-    found = _at_load(rotor, w, bearing, room)
-    if found is None:
+    contact = _at_load(rotor, w, bearing, room)
+    if contact is None:
         return np.nan, np.nan
-    A, force = found
+    A, force = contact
     return max(A.imag / A.real, 0.0), force
 
 
@@ -220,8 +220,10 @@ def edge_alone(fallen: FallenRotor, index: int, mu: float, curve: WhipCurve) -> 
 
     def joint(w: float) -> complex:
         rotor = fallen.receptance(w)[index, index]
-        found = _at_load(rotor, w, bearing, room)
-        return complex(rotor + stator_receptance(bearing, w, _RIGID) if found is None else found[0])
+        contact = _at_load(rotor, w, bearing, room)
+        return complex(
+            rotor + stator_receptance(bearing, w, _RIGID) if contact is None else contact[0]
+        )
 
     def excess(w: float) -> float:
         # mu Re A = Im A; above zero where friction is more than whip needs (Re A < 0), below

@@ -118,11 +118,11 @@ class Jobs:
         self._processes: dict[str, asyncio.subprocess.Process] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self._unwritten: dict[str, str] = {}  # states that are on no disk yet, and why
-        found = []
+        stored = []
         for path in project.root.glob("jobs/*/job.json"):
             with suppress(InvalidInput, OSError, ValueError, TypeError, KeyError, RecursionError):
-                found.append(_read(path))
-        for job in sorted(found, key=_number):
+                stored.append(_read(path))
+        for job in sorted(stored, key=_number):
             self._jobs[job.name] = job
             if job.state in _UNDER_WAY:
                 self._keep(replace(job, state="stopped"))

@@ -1,16 +1,45 @@
-"""A filter bank as it stands in the machine file: channels of second-order sections in series
-between two constant mixings.
+"""A filter bank as it stands in the machine file: c channels of second-order sections in series
+between two constant mixings, from m errors e [m] to p currents u [A]; s sections, n states.
 
-    v = into e                             every channel's signal [m]
+    v = into e                             every channel's signal [m]                       (1)
     y = d v + x1, v = y for the next one   every section of a channel; d, b1, b2, a1, a2 of its own
     x1 += b1 v - a1 x1 + x2
     x2 += b2 v - a2 x1
-    u = out v                              the current asked for
+    u = out v                              the commanded current
 
-That is the transposed direct form II in the operator z - 1 in place of z. A slow pole keeps its
-digits in any word and an integrator, a2 = 0, stays one, where the coefficients of z^-1 would differ
-by rounding alone (Middleton & Goodwin 1990, ch. 10). Limits, anti-windup and transfer are those of
-the same law in modal form (block/block.py), brought into these states.
+That is the transposed direct form II in the operator delta = z - 1 in place of z. A slow pole keeps
+its digits in any word and an integrator, a2 = 0, stays one, where the coefficients of z^-1 would
+differ by rounding alone (Middleton & Goodwin 1990, ch. 10). Sections are sampled by Tustin's map,
+
+    s = rate delta/(2 + delta),   rate = 2/dt, or w/tan(w dt/2) for exactness at w          (2)
+
+Limits, anti-windup and transfer are those of the same law in modal form z (block/block.py), x = T z
+in these states. With the slow modes bounded by the anti-windup, a signal row (e, x) is at most
+
+    HEADROOM times the peak gain of the fast modes alone + |row T_slow| bound_slow          (3)
+
+In whole numbers every signal is a part of its largest value, and no bit of an increment is lost.
+Words, rows and sums are those of block/fixed_point.py, with a range for every channel's input,
+section's output and state: its bound (3) (peak gains, Jackson 1970, with the anti-windup), so that
+a section's row holds
+
+    theta_ij range_j / range_i,   range_j of v, x1, x2, range_i of y, x1, x2                (4)
+
+Signals saturate there all the same. What a shift cuts off a channel's input or a state's
+increment is kept for the next sample (fraction saving), so that rounding never adds up in an
+integrator: an error w of one sample that the next makes good reaches the currents by
+
+    H(z) (1 - 1/z) = D (1 - 1/z) + (C B + C (z - A)^-1 (A - I) B)/z                         (5)
+
+Two errors are told apart. Rounded coefficients are another law, compared by its response.
+Rounding while it runs comes from known places: signals, and the words in which states are read;
+each is followed to the currents by its peak gain (the bound) and by its energy (the noise
+expected: independent errors within +-h of the variance h^2/3, h = 2^-s/2 of a range, for signals
+that move by more than a bit),
+
+    error = sum of h peak gain,   noise^2 = sum of h^2/3 sum_k |impulse response_k|^2        (6)
+
+Tests by these numbers: tests/code/c/test_cascade.py.
 """
 
 from __future__ import annotations
@@ -74,8 +103,8 @@ _SAME = 1e-6  # of the response, how far sections may be from the controller tha
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """One section: its channel's number, what it is, d, b1, b2, a1 and a2, and how many states it
-    has (1 or 2).
+    """One section: its channel's number, its words for people, the coefficients d, b1, b2, a1 and
+    a2 of (1), and its number of states, 1 or 2.
     """
 
     channel: int
@@ -85,8 +114,7 @@ class Stage:
 
     @property
     def theta(self) -> np.ndarray:
-        """[[D, C], [B, A - I]] (order + 1, order + 1)."""
-        # (y, x1 step, x2 step) from (v, x1, x2)
+        """[[D, C], [B, A - I]] (order + 1, order + 1): y and the steps of x1, x2 of v, x1, x2."""
         d, b1, b2, a1, a2 = self.coefficients
         whole = np.array([[d, 1.0, 0.0], [b1, -a1, 1.0], [b2, -a2, 0.0]])
         return whole[: self.order + 1, : self.order + 1]
@@ -94,12 +122,11 @@ class Stage:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CascadeBlock(ControlBlock):
-    """What runs: see the module's formulas. States are in the unit of the errors, not in parts of
-    their bound.
+    """(1) as it runs. States are in the unit of the errors, not in parts of their bound.
 
     into (c, m) [-], out (p, c) [A/m]; stages: channel by channel, the first next to the errors;
-    bound (n,) [m] of the states and signals (c + s,) [m]: of the channels' inputs, then of the
-    sections' outputs, for plausible inputs and any limiting.
+    bound (n,) [m]: largest states; signals (c + s,) [m]: largest inputs of the channels, then
+    outputs of the sections; both by (3), for plausible errors and any limiting.
     """
 
     into: np.ndarray
@@ -149,21 +176,21 @@ class CascadeBlock(ControlBlock):
         return self.n_states + len(self.inputs) * self.mixes
 
     def respond(self, e: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The currents asked for (p,) [A] and what is added to the states (n,), section by section
-        as the code computes.
+        """(1), section by section as the code computes: the commanded currents (p,) [A] and what is
+        added to the states (n,) [m], from errors (m,) [m] and states.
         """
-        # v (c,): what every channel's next section is given; i: the section's first state
+        # v (c,): input of every channel's next section; i: the section's first state
         v = self.into @ e
         step = np.empty(len(x))
         i = 0
         for stage in self.stages:
             d, b1, b2, a1, a2 = stage.coefficients
-            given = v[stage.channel]
-            step[i] = b1 * given - a1 * x[i]
+            v_in = v[stage.channel]
+            step[i] = b1 * v_in - a1 * x[i]
             if stage.order > 1:
                 step[i] += x[i + 1]
-                step[i + 1] = b2 * given - a2 * x[i]
-            v[stage.channel] = d * given + x[i]
+                step[i + 1] = b2 * v_in - a2 * x[i]
+            v[stage.channel] = d * v_in + x[i]
             i += stage.order
         return self.out @ v, step
 
@@ -212,8 +239,7 @@ def build_cascade(
     into, out = axes_mixings(settings, axes, mixed)
     dt = float(K.dt or 0.0)
 
-    # s = rate (z - 1)/(z + 1) with (z - 1)/(z + 1) = j tan(w dt/2) at z = exp(j w dt):
-    # exact at prewarp
+    # (2): (z - 1)/(z + 1) = j tan(w dt/2) at z = exp(j w dt)
     rate = 2 / dt if prewarp is None else prewarp / np.tan(prewarp * dt / 2)
     stages, chains = list[Stage](), list[np.ndarray]()
     for c, (label, (gain, sections)) in enumerate(
@@ -221,14 +247,14 @@ def build_cascade(
     ):
         # sections with states are stages; constant ones and the channel's gain go into its
         # column of out
-        own = [
+        sampled = [
             _stage(c, f"{label}: {section.kind}, {section_text(section)}", section, rate)
             for section in sections
         ]
-        own = [stage for stage in own if stage.order] or []
+        with_states = [stage for stage in sampled if stage.order]
         out = out * np.where(np.arange(len(into)) == c, gain * _constant(sections), 1.0)
-        chains.append(chain(1.0, [stage.theta for stage in own]))
-        stages += own
+        chains.append(chain(1.0, [stage.theta for stage in with_states]))
+        stages += with_states
 
     # [[D, C], [B, A - I]] of the whole bank, outputs (p) and inputs (m) first
     theta = bank(chains, into, out)
@@ -279,7 +305,7 @@ def build_cascade(
 
 
 def _stage(channel: int, label: str, section: Section, rate: float) -> Stage:
-    """A section sampled by s = rate delta/(2 + delta), delta = z - 1; a constant has no state."""
+    """A section sampled by (2), rate [1/s]; a constant has no state."""
     theta = section_matrix(section)
     D = theta[0, 0]
     C = theta[0, 1:]
@@ -328,7 +354,9 @@ def _guarded(
     out: np.ndarray,
     stages: tuple[Stage, ...],
 ) -> CascadeBlock:
-    """The law with anti-windup and transfer as in modal form, and the bounds that follow."""
+    """The law with anti-windup and transfer as in modal form, and the bounds (3). into (c, m), out
+    (p, c).
+    """
     n = block.n_states
     m = len(block.inputs)
     errors = block.error_limit
@@ -342,7 +370,6 @@ def _guarded(
         np.vstack([block.D, np.zeros((n, m))]),
     )
     form = modal_form(whole)
-    # x = T z
     A = form.system.A
     B = form.system.B
     C = form.system.C[: len(out)]
@@ -364,21 +391,17 @@ def _guarded(
     gain = unwinding(modal, slow, currents, block.sample_time / block.windup_time)
     bound = state_bounds(modal, gain, slow, settings)
     from_error, from_output = transfer(modal, np.ones(n), slow, currents)
-    # x = what the slow modes, bounded by the anti-windup, add to the response of the fast ones
-    # alone
+    # A of the fast modes in the states x; slow ones, of which (3) takes the bound, end at once
     decaying = (
         T @ np.where(slow[:, None] | slow, -np.eye(n) * slow, A) @ np.linalg.inv(T) if n else A
     )
 
-    # part of the slow modes: |T_slow| bound_slow
-    share = np.abs(T[:, slow]) @ bound[slow]
-
-    # signals (c + s) and currents asked for (p), from errors (m) and states (n)
+    # rows (c + s + p, m + n): signals and commanded currents, from errors and states
     rows = _signal_rows(block, into, stages)
     rows = np.vstack([rows, np.hstack([block.D, block.C])])
 
-    # fast modes alone, slow ones of A set to zero: states x, then the rows as states of one
-    # sample's memory, whose next value is row (e, x): its peak gain is that of the signal
+    # fast modes alone: states x, then the rows as states of one sample's memory, whose next value
+    # is row (e, x), so that its peak gain is that of the signal
     driven = np.where(slow[:, None], 0.0, B)
     fast = peak_gains(
         np.block(
@@ -390,7 +413,7 @@ def _guarded(
         np.vstack([T @ driven, rows[:, :m]]) * errors,
     ).sum(axis=1)
 
-    # bound of each signal: fast modes' peak, and the slow modes through its row
+    # (3) of the rows, and below of the states themselves
     signals = HEADROOM * fast[n:] + np.abs(rows[:, m:] @ T[:, slow]) @ bound[slow]
     signals = np.maximum(signals, np.finfo(float).tiny)
     kept = {item.name: getattr(block, item.name) for item in fields(block)}
@@ -405,16 +428,18 @@ def _guarded(
         into=into,
         out=out,
         stages=stages,
-        bound=np.maximum(HEADROOM * fast[:n] + share, np.finfo(float).tiny),
+        bound=np.maximum(
+            HEADROOM * fast[:n] + np.abs(T[:, slow]) @ bound[slow], np.finfo(float).tiny
+        ),
         signals=signals[: len(rows) - len(out)],
     )
 
 
 def _signal_rows(block: ControlBlock, into: np.ndarray, stages: Sequence[Stage]) -> np.ndarray:
-    """Every channel's input, then every section's output, from errors and states: (c + s, m +
+    """Every channel's input, then every section's output, as rows of errors and states (c + s, m +
     n).
     """
-    # at (c, m + n): what every channel holds so far; y = d v + x1 after each section
+    # at (c, m + n): the signal that every channel has come to; y = d v + x1 after each section
     at = np.hstack([into, np.zeros((len(into), block.n_states))])
     rows, i = [*at.copy()], 0
     for stage in stages:
@@ -425,32 +450,18 @@ def _signal_rows(block: ControlBlock, into: np.ndarray, stages: Sequence[Stage])
     return np.array(rows)
 
 
-# A filter bank in whole numbers: every signal in parts of its own largest value, no bit of an
-# increment lost.
-#
-# Words, rows and sums are those of block/fixed_point.py, with a scale for every channel's input,
-# section's output and state: its bound (peak gains, Jackson 1970, with the anti-windup). Signals
-# saturate there all the same. What a shift cuts off a channel's input or a state's increment is
-# kept for the next sample (fraction saving), so that rounding never adds up in an integrator.
-#
-# Two errors are told apart. Rounded coefficients are another law, compared by its response.
-# Rounding while it runs comes from known places: signals, and the words in which states are read;
-# each is followed to the currents by its peak gain (the bound) and by its energy (the noise
-# expected: independent errors of 2^-s/sqrt(12), for signals that move by more than a bit).
-
-
-# of the response by rounded coefficients, a tenth of a decibel; of a tenth of the median gain where
+# of the response by rounded coefficients, a tenth of a decibel; where the response is below a tenth
+# of its median gain, of that tenth
 LARGEST_GAIN_ERROR = 0.01
-# the response is smaller
 _DOUBLINGS = 13  # 8192 samples of the impulse responses, whose energy gives the noise
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class FixedCascade(Words):
-    """sections (s, 3, 3) with section_bits (s, 3): a section's y, x1 and x2 from v, x1 and x2; into
-    (c, m), into_bits (c,); output (p, c): of the channels' last signals; noise (p,) [A]: the
-    expected root mean square of what rounding does; gain_error [-]: of the response, by rounded
-    coefficients.
+    """Whole-number coefficients; true ones, (4), are these times 2^-bits of their row. sections (s,
+    3, 3), section_bits (s, 3): rows y, x1, x2 of v, x1, x2; into (c, m), into_bits (c,); output (p,
+    c): of the channels' last signals; noise (p,) [A]: root mean square of (6); gain_error [-]: of
+    the response, by rounded coefficients.
     """
 
     block: CascadeBlock
@@ -499,25 +510,24 @@ def _(block: CascadeBlock, word: int = 32, largest_error: float = LARGEST_ERROR)
     currents = block.current_limit
     channels = _inputs(block)
 
-    # channels' inputs from errors, both in parts of their ranges; then the sections' rows
-    # (y, x1, x2)
+    # (4): channels' inputs of errors, both in parts of their ranges; then the sections' rows
     into, into_bits = quantise_rows(
         block.into * errors / channels[:, None], word, "a channel's input"
     )
     rows, names = _section_rows(block)
-    whole = [quantise_rows(item, word, name) for item, name in zip(rows, names, strict=True)]
-    sections = np.array([table for table, _ in whole], np.int64).reshape(-1, 3, 3)
-    section_bits = np.array([bits for _, bits in whole], int).reshape(-1, 3)
+    quantised = [quantise_rows(item, word, name) for item, name in zip(rows, names, strict=True)]
+    sections = np.array([table for table, _ in quantised], np.int64).reshape(-1, 3, 3)
+    section_bits = np.array([bits for _, bits in quantised], int).reshape(-1, 3)
 
     # currents from the channels' last signals
     output = block.out * _outputs(block) / currents[:, None]
-    own = _state_rows(block, section_bits)
+    state_bits = _state_rows(block, section_bits)
     fixed = FixedCascade(
         into=into,
         into_bits=into_bits,
         sections=sections,
         section_bits=section_bits,
-        **in_common(block, word, own, output),
+        **in_common(block, word, state_bits, output),
     )
 
     # rounded coefficients: another law; rounding while it runs: noise
@@ -552,12 +562,13 @@ def _(block: CascadeBlock, word: int = 32, largest_error: float = LARGEST_ERROR)
 
 
 def block_law(block: CascadeBlock) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """A - I, B, C and D."""
+    """A - I (n, n), B (n, m), C (p, n) and D (p, m), from errors [m] to currents [A]."""
     return block.increment, block.B, block.C, block.D
 
 
 @floating_error.register
 def _(block: CascadeBlock, bits: int, steps: float = HORIZON) -> np.ndarray:
+    # half a unit of the mantissa per operation, relative to the operand's bound; followed as in (6)
     unit = 2.0**-bits
     inputs = _inputs(block)
     outputs = block.signals[len(block.into) :]
@@ -588,8 +599,8 @@ def _(block: CascadeBlock, bits: int, steps: float = HORIZON) -> np.ndarray:
 
     # a state as read lacks what the compensation carries: 2 units of its bound
     by_signal, by_state, _ = _gains(block, np.array(signals), states, 2 * unit * block.bound, steps)
-    asked = np.abs(block.out) @ _outputs(block)
-    return by_signal + by_state + unit * (2 + len(block.into)) * asked
+    commanded = np.abs(block.out) @ _outputs(block)
+    return by_signal + by_state + unit * (2 + len(block.into)) * commanded
 
 
 @word_lengths.register
@@ -598,9 +609,7 @@ def _(block: CascadeBlock, bits: tuple[int, ...] = BITS) -> tuple[WordLength, ..
 
 
 def _rounded_error(block: CascadeBlock, bits: int) -> float:
-    """The error of the response with the sections' coefficients rounded to ``bits`` bits of
-    mantissa.
-    """
+    """The error [-] of the response with all coefficients rounded to ``bits`` bits of mantissa."""
     stages = [
         replace(stage, coefficients=tuple(round_to_bits(np.array(stage.coefficients), bits)))
         for stage in block.stages
@@ -628,29 +637,27 @@ def _outputs(block: CascadeBlock) -> np.ndarray:
 
 
 def _section_rows(block: CascadeBlock) -> tuple[list[np.ndarray], list[str]]:
-    """Every section's rows (3, 3) with signals and states in parts of their ranges, and its
-    name.
-    """
+    """The rows (4) of every section, (3, 3), and its name."""
     at = _inputs(block).copy()
     rows = []
     i = 0
     for stage, size in zip(block.stages, block.signals[len(block.into) :], strict=True):
-        # y/size, x/bound from v/range, x/bound
-        own = block.bound[i : i + stage.order]
-        theta = stage.theta * np.array([at[stage.channel], *own]) / np.array([size, *own])[:, None]
+        bound = block.bound[i : i + stage.order]
+        ranges_in, ranges_out = np.array([at[stage.channel], *bound]), np.array([size, *bound])
+        theta = stage.theta * ranges_in / ranges_out[:, None]
         rows.append(np.pad(theta, (0, 2 - stage.order)))
         at[stage.channel], i = size, i + stage.order
     return rows, [f"the section {stage.label}" for stage in block.stages]
 
 
 def _state_rows(block: CascadeBlock, per_section: np.ndarray) -> np.ndarray:
-    """(n,) of (s, 3): the rows that belong to states."""
-    found = [per_section[k, 1 : 1 + stage.order] for k, stage in enumerate(block.stages)]
-    return np.concatenate([*found, np.zeros(0)]).astype(int)
+    """Entries (n,) of (s, 3) that belong to states: x1 and, of second order, x2."""
+    rows = [per_section[k, 1 : 1 + stage.order] for k, stage in enumerate(block.stages)]
+    return np.concatenate([*rows, np.zeros(0)]).astype(int)
 
 
 def _running_law(fixed: FixedCascade) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """A - I, B, C and D of the whole-number coefficients, in the block's units."""
+    """As ``block_law``, of the whole-number coefficients: (4) undone."""
     block = fixed.block
     at = _inputs(fixed.block).copy()
     i = 0
@@ -659,12 +666,10 @@ def _running_law(fixed: FixedCascade) -> tuple[np.ndarray, np.ndarray, np.ndarra
     for stage, size, table in zip(
         block.stages, block.signals[len(block.into) :], tables, strict=True
     ):
-        # back from parts of ranges: rows times the outputs' ranges, columns over the inputs'
-        own = block.bound[i : i + stage.order]
+        bound = block.bound[i : i + stage.order]
+        ranges_in, ranges_out = np.array([at[stage.channel], *bound]), np.array([size, *bound])
         k = stage.order + 1
-        thetas.append(
-            table[:k, :k] * np.array([size, *own])[:, None] / np.array([at[stage.channel], *own])
-        )
+        thetas.append(table[:k, :k] * ranges_out[:, None] / ranges_in)
         at[stage.channel], i = size, i + stage.order
     into = (
         fixed.into
@@ -684,6 +689,7 @@ def _running_law(fixed: FixedCascade) -> tuple[np.ndarray, np.ndarray, np.ndarra
 def _law(
     block: CascadeBlock, thetas: list[np.ndarray], into: np.ndarray, out: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """As ``block_law``, of sections ``thetas``, one per stage, between the mixings."""
     chains = [
         chain(1.0, [t for t, stage in zip(thetas, block.stages, strict=True) if stage.channel == c])
         for c in range(len(into))
@@ -697,8 +703,8 @@ def _law(
 
 
 def _rounding(fixed: FixedCascade) -> tuple[np.ndarray, np.ndarray]:
-    """Bound and expected root mean square (p,) [A] of what rounding does to the currents, while
-    none is limited.
+    """(6): bound and expected root mean square (p,) [A] of what rounding does to the currents,
+    while none is limited.
     """
     block, half = fixed.block, 0.5 * 2.0**-fixed.signal_bits
 
@@ -714,9 +720,8 @@ def _rounding(fixed: FixedCascade) -> tuple[np.ndarray, np.ndarray]:
     )
 
     # rounding of the current itself
-    own = half * block.current_limit
-    # a uniform error within +-h has the variance h^2/3
-    return by_signal + by_state + own, np.sqrt((energy + own**2) / 3)
+    last = half * block.current_limit
+    return by_signal + by_state + last, np.sqrt((energy + last**2) / 3)
 
 
 def _gains(
@@ -727,12 +732,13 @@ def _gains(
     steps: float,
     saved: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What errors do to the currents: bounds (p,) [A] by those of signals (c + s,) [m], of the
-    states' increments and of their words together, and the energy (p,) of all, each taken as white.
+    """What errors do to the currents while it runs: bounds (p,) [A] by those of signals, and by
+    those of states; energy (p,) [A^2]: sum of squared impulse responses of all, where ``saved`` is
+    given.
 
-    states (n,): added at every sample; reads (n,): made in reading a state. saved (c,): errors of
-    the channels' inputs that are made good at the next sample: with H(z) (1 - 1/z) = D (1 - 1/z) +
-    (C B + C (z - A)^-1 (A - I) B)/z no integrator sees them.
+    Errors of every sample, at most: signals (c + s,) [m]; states (n,) [m]: of the increments; reads
+    (n,) [m]: in reading a state; saved (c,) [m]: of the channels' inputs, made good at the next
+    sample: by (5) no integrator sees them. steps: samples that the bounds hold for.
     """
     n = block.n_states
     p = len(block.outputs)
@@ -740,8 +746,8 @@ def _gains(
     B, D = _from_signals(block)
     E, C = block.increment, block.C
 
-    # by source: how unit errors of its columns reach the states at the next sample, and the
-    # currents at once
+    # by source: its errors' effect on the states at the next sample, and on the currents at once;
+    # an error w in reading x adds E w to the step and C w to the currents
     sources = [
         (B * signals, D * signals),
         (np.diag(states), np.zeros((p, n))),
@@ -749,27 +755,27 @@ def _gains(
     ]
     direct = [np.abs(item).sum(axis=1) for _, item in sources]
     if saved is not None:
-        # saved errors: D at once, C B - D a sample later, then C (z - A)^-1 E B/z
+        # (5): D at once, C B - D a sample later, then C (z - A)^-1 E B/z
         b, d = B[:, :count] * saved, D[:, :count] * saved
         sources.append((E @ b, C @ b - d))
         direct.append((np.abs(C @ b - d) + np.abs(d)).sum(axis=1))
     # of an unstable controller that somebody insists on
     with np.errstate(over="ignore", invalid="ignore"):
         bounds = [
-            found + _peak(block, part, steps)
-            for (part, _), found in zip(sources, direct, strict=True)
+            at_once + _peak(block, to_states, steps)
+            for (to_states, _), at_once in zip(sources, direct, strict=True)
         ]
     bounds = [np.nan_to_num(item, nan=np.inf, posinf=np.inf) for item in bounds]
     if saved is None:
         return bounds[0], bounds[1] + bounds[2], np.zeros(p)
 
-    # squares of what reaches the currents at once; x x^T: what all sources put into the states
+    # squares of what reaches the currents at once; x: all columns that reach the states
     energy, x = (
         sum((item**2).sum(axis=1) for _, item in sources) + (d**2).sum(axis=1),
         np.hstack([s for s, _ in sources]),
     )
 
-    # sum of A^k x x^T A^kT:  G_2N = G_N + A^N G_N A^NT
+    # gramian G = sum of A^k x x^T A^kT, by doubling: G_2N = G_N + A^N G_N A^NT; C G C^T is the rest
     power, gramian = E + np.eye(n), x @ x.T
     for _ in range(_DOUBLINGS):  # the gramian of the first 2, 4, 8 ... samples
         gramian, power = gramian + power @ gramian @ power.T, power @ power
@@ -781,16 +787,21 @@ def _gains(
 
 
 def _peak(block: CascadeBlock, B: np.ndarray, steps: float) -> np.ndarray:
-    """Bounds (p,) on C x for errors of +-1 through B (n, k), channel by channel."""
+    """Bounds (p,) [A] on C x within ``steps`` samples, for errors of +-1 in every sample through B
+    (n, k), channel by channel.
+    """
     total = np.zeros(len(block.outputs))
-    for own in block_slices(block.sizes):
+    for states in block_slices(block.sizes):
         # the columns that reach this channel's states
-        used = B[own][:, np.abs(B[own]).max(axis=0, initial=0.0) > 0]
-        k, p = own.stop - own.start, len(total)
+        used = B[states][:, np.abs(B[states]).max(axis=0, initial=0.0) > 0]
+        k, p = states.stop - states.start, len(total)
         if used.size:
             # its states, then C x as states of one sample's memory, whose peak gain is that of C x
             whole = np.block(
-                [[block.increment[own, own], np.zeros((k, p))], [block.C[:, own], -np.eye(p)]]
+                [
+                    [block.increment[states, states], np.zeros((k, p))],
+                    [block.C[:, states], -np.eye(p)],
+                ]
             )
             total += peak_gains(whole, np.vstack([used, np.zeros((p, used.shape[1]))]), steps)[
                 k:
@@ -799,13 +810,13 @@ def _peak(block: CascadeBlock, B: np.ndarray, steps: float) -> np.ndarray:
 
 
 def _from_signals(block: CascadeBlock) -> tuple[np.ndarray, np.ndarray]:
-    """How errors added to every channel's input and every section's output reach the states and
-    currents: B (n, c + s), D.
+    """How errors added to every channel's input and every section's output reach the states, B (n,
+    c + s), and the currents, D (p, c + s) [A/m].
     """
     count, n = len(block.into), block.n_states
 
-    # at (c, c + s): errors in what every channel holds so far; a section's input errors reach its
-    # states by b1, b2 and its output by d
+    # at (c, c + s): errors in the signal that every channel has come to; those of a section's input
+    # reach its states by b1, b2 and its output by d
     at = np.zeros((count, count + len(block.stages)))
     at[:, :count] = np.eye(count)
     B, i = np.zeros((n, at.shape[1])), 0

@@ -93,6 +93,7 @@ def integer_table(x: np.ndarray) -> str:
 
 
 def _initialiser(x: np.ndarray, form: Callable[[float], str], indent: str = "    ") -> str:
+    """An array of any shape in nested braces, each number as ``form`` writes it."""
     if x.ndim > 1:
         rows = ",\n".join(f"{indent}{_initialiser(row, form, indent + '    ')}" for row in x)
         return "{\n" + rows + "\n" + indent[4:] + "}"
@@ -173,7 +174,7 @@ def tables_of(source: str, types: Mapping[str, str]) -> list[Table]:
     types: {type in the text: numpy's}, such as {"real": "f8"}. Raises InvalidInput for a table
     whose numbers cannot be read: a defect of the text, not of the controller.
     """
-    found = []
+    tables = []
     plain = _COMMENT.sub("", source).replace("unsigned char", "uchar")
     for kind, name, _, body in _TABLE.findall(plain):
         digits = re.sub(r"(?<=[\d.])f\b", "", body)  # 1.5f: of single precision
@@ -187,8 +188,8 @@ def tables_of(source: str, types: Mapping[str, str]) -> list[Table]:
         if whole:  # 64-bit words do not fit a double
             numbers = np.array([int(n) for n in _NUMBER.findall(digits)])
         dtype = np.dtype(f"<{types[kind]}")
-        found.append(Table(kind.replace("uchar", "unsigned char"), name, numbers.astype(dtype)))
-    return found
+        tables.append(Table(kind.replace("uchar", "unsigned char"), name, numbers.astype(dtype)))
+    return tables
 
 
 def checksum(tables: list[Table]) -> int:
@@ -323,8 +324,8 @@ def generate(
         f"{block.name}{end}": render(template, facts | values)
         for end, (template, values) in texts.items()
     }
-    own = {f"{block.name}.c": with_identity(source, facts)}
-    return own | written | {f"{block.name}_vectors.csv": as_csv(block, parts.run)}
+    sources = {f"{block.name}.c": with_identity(source, facts)}
+    return sources | written | {f"{block.name}_vectors.csv": as_csv(block, parts.run)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -542,18 +543,18 @@ def _axes(block: ScheduledBlock, arithmetic: str) -> list[dict[str, Any]]:
     """What the templates say of every parameter; ``suffix``: of its own fields in the block, where
     there are two.
     """
-    found = []
+    rows = []
     table, limits = (
         real_table(arithmetic),
         zip(block.told_limits, block.rate_limits, block.told_steps, strict=True),
     )
-    for i, (axis, one, (told, rate, step)) in enumerate(
+    for i, (axis, one, (limit, rate, step)) in enumerate(
         zip(block.axes, block.along.each, limits, strict=True)
     ):
         low = float(axis[0])
         high = float(axis[-1])
         limited = bool(np.isfinite(rate))
-        found.append(
+        rows.append(
             {
                 "name": one.name,
                 "unit": one.unit,
@@ -569,8 +570,8 @@ def _axes(block: ScheduledBlock, arithmetic: str) -> list[dict[str, Any]]:
                 "high_people": f"{high / one.size:.4g}",
                 "lowest": literal(low, arithmetic),
                 "highest": literal(high, arithmetic),
-                "told_limit": literal(told, arithmetic),
-                "plausible": f"{told:.6g}",
+                "told_limit": literal(limit, arithmetic),
+                "plausible": f"{limit:.6g}",
                 "rate_limit": f"{rate:.9g}" if limited else "",
                 "told_step": literal(step, arithmetic) if limited else "",
                 "rate_text": f" The schedule follows at {rate:.6g} {one.rate_unit} at most."
@@ -578,7 +579,7 @@ def _axes(block: ScheduledBlock, arithmetic: str) -> list[dict[str, Any]]:
                 else "",
             }
         )
-    return found
+    return rows
 
 
 def _delay_text(delay: int) -> str:
@@ -607,6 +608,9 @@ def _tables(
 
 
 def _scheduled_tables(block: ScheduledBlock, arithmetic: str) -> dict[str, Any]:
+    """The tables of a schedule over its grid; nr, nq: ranks of what changes between grid points in
+    the states and in the outputs.
+    """
     tables, (nr, nq) = _tables(block, real_table(arithmetic)), block.changes.ranks
     law = {name: tables[name] for name in ("B", "C", "D", "diagonals")}
     return {
@@ -629,7 +633,7 @@ def _replay(run: Vectors, tolerance: np.ndarray, arithmetic: str) -> dict[str, A
             "number_cast": "double",
         }
     )
-    told = {}
+    told_vectors = {}
     if run.told is not None:
         known, names = ~np.isnan(run.told), run.parameters
         given = zip(
@@ -638,7 +642,7 @@ def _replay(run: Vectors, tolerance: np.ndarray, arithmetic: str) -> dict[str, A
             known.reshape(len(known), -1).T,
             strict=True,
         )
-        told = {
+        told_vectors = {
             "told": [
                 {"name": name, "numbers": table(v), "known": integer_table(k)}
                 for name, v, k in given
@@ -651,7 +655,7 @@ def _replay(run: Vectors, tolerance: np.ndarray, arithmetic: str) -> dict[str, A
         "currents": table(run.currents),
         "status": integer_table(run.status),
         "tolerance": table(tolerance),
-        **told,
+        **told_vectors,
         **number,
         "times": run.times is not None and integer_table(run.times),
         "moves": run.moves is not None and table(run.moves),
@@ -669,6 +673,7 @@ def _output_rows(block: Block, error: np.ndarray) -> list[dict[str, str]]:
 
 
 def _formats(fixed: Words) -> list[dict[str, str]]:
+    """The report's table of rows: fraction bits, and the sum of the coefficients' sizes."""
     return [
         {"name": name, "bits": str(f), "total": f"{np.abs(row * np.exp2(-f)).sum():.3g}"}
         for names, matrix, bits in fixed.formats()
@@ -677,6 +682,7 @@ def _formats(fixed: Words) -> list[dict[str, str]]:
 
 
 def _scheduled_report(block: ScheduledBlock, run: Vectors) -> dict[str, Any]:
+    """The report's tables of a schedule: outputs, and at every grid point the poles."""
     points = []
     for value, E, B, C, D, L in zip(
         grid_points(block.axes),
@@ -687,6 +693,7 @@ def _scheduled_report(block: ScheduledBlock, run: Vectors) -> dict[str, Any]:
         block.unwind,
         strict=True,
     ):
+        # poles of the law, and while every current is limited: A - L C with the unwinding L
         z, led = (1 + np.linalg.eigvals(X) if len(X) else np.zeros(1) for X in (E, E - L @ C))
         distance, at = 1 - np.abs(z), list(zip(np.atleast_1d(value), block.along.each, strict=True))
         points.append(

@@ -120,8 +120,8 @@ def build_library(
             for name, text in files.items():
                 (Path(folder) / name).write_text(text, encoding="utf-8")
             status, message = _run(command, folder, time_limit)
-            made = Path(folder) / "library"
-            code = made.read_bytes() if made.is_file() else b""
+            library = Path(folder) / "library"
+            code = library.read_bytes() if library.is_file() else b""
     except subprocess.TimeoutExpired as error:
         raise InvalidInput(
             f"the C compiler {compiler} did not end within {time_limit:g} s; {remedy}"
@@ -235,11 +235,11 @@ class Loaded:
         self._function(self.interface.begin)(ctypes.c_void_p(self.address))
 
     def call(self, verb: str = "step", **given: Any) -> tuple[np.ndarray, int]:
-        """What a function answers and its status. given: its arguments by name, in its own numbers;
-        one left out is a null pointer, or 0.
+        """The array that a function fills, its last argument, and its status. given: its arguments
+        by name, in its own numbers; one left out is a null pointer, or 0.
         """
         arguments: list[Any] = [ctypes.c_void_p(self.address)]
-        last = np.empty(0)
+        filled = np.empty(0)
         for one in self.interface.arguments:
             value = given.get(one.name)
             if not one.count:
@@ -248,12 +248,13 @@ class Loaded:
             elif value is None and one.given:
                 arguments.append(None)
             else:
-                last = np.empty(one.count, one.kind)
-                last[:] = 0 if value is None else value
-                arguments.append(last.ctypes.data_as(ctypes.c_void_p))
-        return last, self._function(verb)(*arguments)
+                filled = np.empty(one.count, one.kind)
+                filled[:] = 0 if value is None else value
+                arguments.append(filled.ctypes.data_as(ctypes.c_void_p))
+        return filled, self._function(verb)(*arguments)
 
     def _function(self, verb: str) -> Any:
+        """The library's function <name>_<verb>."""
         function = self.library[f"{self.interface.name}_{verb}"]
         function.restype = ctypes.c_uint
         return function
@@ -286,6 +287,7 @@ class Words:
 
     @classmethod
     def of(cls, block: Block, arithmetic: Arithmetic) -> Words:
+        """The numbers of a block's code in an arithmetic; floating point counts in SI."""
         signal, stored = TYPES[arithmetic]
         if arithmetic in {"double", "float"}:
             ones = np.ones(len(block.inputs)), np.ones(len(block.outputs))
@@ -296,6 +298,7 @@ class Words:
         return cls(signal, stored, block.error_limit / one, block.current_limit / one, state, True)
 
     def counts(self, values: np.ndarray, unit: np.ndarray | float) -> np.ndarray:
+        """Values as numbers of the code, one count being ``unit``."""
         scaled = np.asarray(values, float) / unit
         return np.rint(scaled) if self.whole else scaled
 
@@ -342,7 +345,7 @@ class CompiledLaw(Generic[L]):
             [repr(value) for one in self._words for value in getattr(one, side).tolist()]
             for side in ("error", "current")
         )
-        told = [f"({first.signal})self->told[{i}], " for i in self._told.values()]
+        arguments = [f"({first.signal})self->told[{i}], " for i in self._told.values()]
         return _CALL.format(
             name=interface.name,
             memory=interface.memory,
@@ -350,7 +353,7 @@ class CompiledLaw(Generic[L]):
             current=", ".join(current),
             word=first.signal,
             counted=first.counted,
-            told="".join(told),
+            told="".join(arguments),
             d=sum(i not in _ESTIMATE for i in self._told.values()),
             m=len(error),
             p=len(current),
@@ -358,7 +361,7 @@ class CompiledLaw(Generic[L]):
 
     @property
     def _told(self) -> dict[str, int]:
-        """What the step is told, by its place."""
+        """What the step is told (speed, pressure, estimate), and its place in ``_Running.told``."""
         places = {"estimate": _ESTIMATE[0], "half_width": _ESTIMATE[1]}
         return {name: places.get(name, i) for i, name in enumerate(self.block.base.told)}
 
@@ -377,7 +380,7 @@ class CompiledLaw(Generic[L]):
 
     @property
     def entry(self) -> tuple[int, int]:
-        """As the rig asks of a native program."""
+        """Addresses of the compiled step and of what it gets first, for the rig's compiled loop."""
         address = cast(int, ctypes.cast(self._step, ctypes.c_void_p).value)
         return address, ctypes.addressof(self._running)
 

@@ -136,8 +136,8 @@ def equation_error(
     shifted[DELAY] += 1
     numerator, actuator = input_polynomials(shifted)
     driven = lfilter(numerator, actuator, np.append(u[1:], u[-1]))
-    own = lfilter(own_polynomial(plant[STIFFNESS]), [1.0], y)
-    left = own - driven - constant
+    A_y = lfilter(own_polynomial(plant[STIFFNESS]), [1.0], y)
+    left = A_y - driven - constant
     left[: len(numerator)] = 0.0
     return np.asarray(left)
 
@@ -191,8 +191,8 @@ def curvature(fit: Fit, y: np.ndarray, u: np.ndarray) -> tuple[float, np.ndarray
     late = np.concatenate([np.zeros(shift), u[: len(u) - shift]])
     numerator, _ = input_polynomials(np.array([plant[STIFFNESS], 1.0, 0.0]))
     columns = [
-        -lfilter(D, C, lfilter(numerator, [1.0], y**own * late**driven))[fit.first :]
-        for own, driven in _POWERS
+        -lfilter(D, C, lfilter(numerator, [1.0], y**power_y * late**power_u))[fit.first :]
+        for power_y, power_u in _POWERS
     ]
     jacobian = np.column_stack([fit.jacobian, *columns])
     size = np.sqrt((jacobian**2).sum(axis=0)) + 1e-300
@@ -220,7 +220,7 @@ _BLOCKS = 8  # of the record
 _FUNCTIONS = 16  # of Laguerre, over which the loop's answers to z are written
 _ROUNDING = 1e-7  # of u's deviation: below it nothing drives the loop from outside
 _LONG = 6.0  # lags over n^(1/3) where the residual is coloured
-_TURNS = 8
+_TURNS = 8  # Newton steps of the instruments' equation, at most
 _LAGS = 12  # of z, in the test whether the residual follows it
 
 
@@ -490,27 +490,27 @@ def starts(y: np.ndarray, u: np.ndarray) -> list[np.ndarray]:
     For every pole p on the grid, C = (1 - e^-p q^-1)^2 makes a stable filter of A y = B u + c; for
     every delay of whole samples, cosh p and b then follow by least squares.
     """
-    found = []
+    guesses = []
     y, u = y[:_ENOUGH], u[:_ENOUGH]
     ahead = np.append(u[1:], u[-1])
     for pole in _POLES:
         C = np.convolve([1.0, -np.exp(-pole)], [1.0, -np.exp(-pole)])
         bend = lfilter([1.0, -2.0, 1.0], C, y)
-        own = lfilter([0.0, 1.0], C, y)
+        past = lfilter([0.0, 1.0], C, y)
         level = lfilter([1.0], C, np.ones_like(y))
         for delay in _DELAYS:
             held = np.zeros(delay + 4)
             held[delay + 2 : delay + 4] = 0.5  # of b w, b/2 (q^-1 + q^-2): the double integrator's
             drive = lfilter(held, C, ahead)
-            columns = np.column_stack([own, drive, level])
+            columns = np.column_stack([past, drive, level])
             first = min(len(y) // 5, 20 + int(5 / pole))
             solution = np.linalg.lstsq(columns[first:], bend[first:], rcond=None)[0]
             loss = float(np.mean((bend - columns @ solution)[first:] ** 2))
             stiffness = float(np.arccosh(1 + solution[0] / 2) ** 2) if solution[0] > 0 else 1e-6
             guess = [stiffness, solution[1], delay + 0.3, solution[2], C[1], C[2]]
-            found.append((loss, np.array(guess)))
-    found.sort(key=lambda item: item[0])
-    return [guess for _, guess in found]
+            guesses.append((loss, np.array(guess)))
+    guesses.sort(key=lambda item: item[0])
+    return [guess for _, guess in guesses]
 
 
 def fit_plainest(y: np.ndarray, u: np.ndarray) -> Fit:
@@ -652,14 +652,19 @@ def estimate(
     reference (n,): what drives the loop from outside. actuator: "lag": first order, "none", or
     "auto": one where it shows.
     """
+    # the record's own scale; z: what drives the loop from outside
     spread, size = float(position.std()), float(drive.std())
     y = (position - position.mean()) / spread
     u = (drive - drive.mean()) / size
     z = outside_part(y, u) if reference is None else _normal(reference)
+
+    # the direct estimate; other: the same with an actuator, where that does not show
     fit, other, white, share = _smallest(y, u, actuator)
     structure, count = fit.structure, fit.structure.plant
     second = None if z is None else solve(fit, y, u, z)
     formal = _direct_covariance(fit)[:count, :count]
+
+    # whether its residual follows the reference (else u), and answering: the other way round
     watched = z if reference is not None and z is not None else u
     stride = _stride(fit)
     chance, followed = _follows_direct(fit, watched, stride)
@@ -667,33 +672,37 @@ def estimate(
     if reference is not None:
         ahead = np.concatenate([watched[_AHEAD_OF * stride :], np.zeros(_AHEAD_OF * stride)])
         answering, _ = follows(fit.counted, fit.jacobian, fit.jacobian, ahead[fit.first :], stride)
+
+    # which of both ways: instruments where the direct way fails its tests and they pass theirs
     way, errors = "direct", fit.errors
     plant = fit.unknowns[:count]
     agree = None if second is None else _agree(fit, second)
     believed = white >= LEVEL and chance >= LEVEL and (agree is None or agree >= _PART)
     exogenous = reference is not None and answering >= ANSWERS
     if not believed and exogenous and second is not None:
-        free = follows(
+        second_follows = follows(
             second.errors[fit.first :],
             fit.jacobian[:, : count + 1],
             second.instruments,
             watched[fit.first :],
             stride,
         )
-        if free[0] >= LEVEL:
+        if second_follows[0] >= LEVEL:
             way, errors = "instruments", second.errors
             plant = second.plant
             formal = second.covariance
-            chance, followed = free
-    settled = [_half(fit, part, y, u, z, way) for part in _halves(len(y))]
-    parts = [unknowns for unknowns, _, _ in settled]
+            chance, followed = second_follows
+
+    # deviations: noise, an actuator that does not show, curvature; the scatter of both halves
+    halves = [_half(fit, part, y, u, z, way) for part in _halves(len(y))]
+    parts = [unknowns for unknowns, _, _ in halves]
     noise = np.sqrt(np.diag(formal))
     curved, tangent = curvature(fit, y, u)
     bend = np.abs(tangent) if curved < _PART else np.zeros(count)
     deviations = np.sqrt(noise**2 + _difference(fit, other) ** 2 + bend**2)
     # the halves part by so many of their own deviations, which may be unequal (a chirp's are)
-    own = np.sqrt(settled[0][1] ** 2 + settled[1][1] ** 2)
-    apart = np.abs(parts[1][:count] - parts[0][:count]) / np.maximum(own, 1e-300)
+    deviation = np.sqrt(halves[0][1] ** 2 + halves[1][1] ** 2)
+    apart = np.abs(parts[1][:count] - parts[0][:count]) / np.maximum(deviation, 1e-300)
     scatter = apart * noise
     larger = np.maximum(deviations, scatter)
     stretch = larger / np.maximum(noise, 1e-300)
@@ -730,11 +739,12 @@ def estimate(
         answering,
         curved,
         bend * scale,
-        fit.converged and all(converged for _, _, converged in settled),
+        fit.converged and all(converged for _, _, converged in halves),
     )
 
 
 def _normal(values: np.ndarray) -> np.ndarray | None:
+    """A signal (n,) of mean 0 and deviation 1; None of one that never changes."""
     size = float(values.std())
     return None if size == 0 else (values - values.mean()) / size
 

@@ -50,6 +50,7 @@ class Synchronous:
         return 2 * (len(self.orders) + len(self.tones))
 
     def _base(self, start: int, stop: int) -> np.ndarray:
+        """``base`` of the samples start to stop - 1, counted from the first one here."""
         inside = slice(self.first + start, self.first + stop)
         return (
             np.arange(inside.start, inside.stop, dtype=float)
@@ -58,9 +59,11 @@ class Synchronous:
         )
 
     def _angle(self, base: np.ndarray) -> np.ndarray:
+        """The rotor's angle [rad]."""
         return np.asarray(self.rate * base + self.drift * base**2)
 
     def _turning(self, base: np.ndarray) -> np.ndarray:
+        """e^(j angle)."""
         return np.asarray(np.exp(1j * self._angle(base)))
 
     def waves(self, start: int, stop: int) -> np.ndarray:
@@ -274,6 +277,7 @@ def without_synchronous(
         turning = turning.refined(y, k) or turning
     kept = [i for i, name in enumerate(record.signals) if names is None or name in names]
     values = record.values[kept]
+    # displacements, currents, forces and excitations along directions: not speed, p_ and d_
     moving = [
         j
         for j, i in enumerate(kept)

@@ -294,6 +294,9 @@ def _of_bearing(
     coefficients: MagnetCoefficients | None,
     means: Mapping[str, float],
 ) -> Iterator[str]:
+    """A sentence for each axis of a bearing whose ``coefficients`` at the mean currents differ from
+    those at the file's load, ``item``.
+    """
     if coefficients is None:
         return
     k_i, k_s = (
@@ -372,14 +375,14 @@ def standing(
         for path, value in zip(result.paths, result.values, strict=True)
         if path not in TIMING
     }
-    found = []
+    of_records = []
     for record in records:
         place = _offset(machine, record, values, bending_modes)
         if place is None:
             return None
-        found.append((*place, *_ratios(machine, record, result.paths, place, loads)))
-    ratios = np.array([item[-1] for item in found])
-    q, _, currents, _ = found[0]
+        of_records.append((*place, *_ratios(machine, record, result.paths, place, loads)))
+    ratios = np.array([item[-1] for item in of_records])
+    q, _, currents, _ = of_records[0]
     return Standing(
         dict(zip(machine.axes, q.tolist(), strict=True)),
         dict(zip(machine.axes, currents.tolist(), strict=True)),
@@ -439,12 +442,13 @@ def _ratios(
     for n, (bearing, item) in enumerate(zip(machine.bearings, magnets, strict=True)):
         if item.parameters is None:
             continue
-        own = slice(2 * n, 2 * n + 2)
+        # the bearing's two axes: slopes where the rotor stood, and at the sensors' zero
+        both = slice(2 * n, 2 * n + 2)
         there, here = (
             slopes(item.parameters, (i[0], i[1]), (x[0], x[1]))
             for i, x in (
-                ((currents + i_off)[own].tolist(), (sag + q)[own].tolist()),
-                (currents[own].tolist(), sag[own].tolist()),
+                ((currents + i_off)[both].tolist(), (sag + q)[both].tolist()),
+                (currents[both].tolist(), sag[both].tolist()),
             )
         )
         for quantity in ("force_per_current", "negative_stiffness"):
@@ -458,8 +462,6 @@ def _ratios(
         parameter = parse_parameter(path)
         if parameter.table == "bearing":
             ways = [parameter.component] if parameter.component else ["zeta", "eta"]
-            own_ratios = [
-                ratio_of.get((parameter.name, parameter.quantity, way), 1.0) for way in ways
-            ]
-            ratios[k] = float(np.mean(own_ratios))
+            of_ways = [ratio_of.get((parameter.name, parameter.quantity, way), 1.0) for way in ways]
+            ratios[k] = float(np.mean(of_ways))
     return currents, ratios

@@ -27,9 +27,10 @@ _DECAY = 0.8  # of the fastest damping, per step
 
 
 class Bearing(NamedTuple):
-    """A touchdown bearing, SI. clearance, contact stiffness and damping, friction mu,
-    sliding_speed below which friction fades, radius, onset (depth over which the contact's damping
-    sets in), static_friction and stribeck_speed.
+    """A touchdown bearing, SI, in the order of the p that compiled functions take: p[0] clearance
+    to p[20] stop_stiffness. Contact: clearance, stiffness and damping, friction mu, sliding_speed
+    below which friction fades, radius, onset (depth over which the damping sets in),
+    static_friction and stribeck_speed.
 
     race_mass 0: no inner race, the rotor meets the ring. hertz K [N/m^1.5] and preload, as the
     deflection [m] that it makes. ring_mass 0: the ring is fixed in the housing. travel inf: no
@@ -137,6 +138,7 @@ def force(
     friction; lag [m/(N s)]: by the force of friction the sliding speed below which it fades, so
     that a step can follow it. Compiles with numba as it stands.
     """
+    # p: 0 clearance, 1 k, 2 c, 3 mu, 4 v_0, 5 radius, 6 d_0, 7 and 8 static friction and its speed
     r = math.sqrt(x * x + y * y)
     depth = r - p[0]
     if depth <= 0.0:
@@ -170,7 +172,8 @@ def elements(
     """Force [N] along x and y with which the race presses on what carries its rolling elements, and
     their load [N]; x, y [m], vx, vy [m/s]: of the race against that. Compiles with numba.
     """
-    # element_force in place, as what is compiled calls no function of its module
+    # element_force in place, as what is compiled calls no function of its module; p: 11 hertz, 12
+    # preload, 13 element_damping
     deflection = math.sqrt(x * x + y * y)
     front = p[12] + deflection
     back = p[12] - deflection
@@ -187,6 +190,7 @@ def mount(
     """Force [N] of the soft mount with its stop on the ring at x, y [m] with vx, vy [m/s]; factors
     on its stiffness and damping. Compiles with numba as it stands.
     """
+    # p: 17 and 18 stiffness and damping of the mount, 19 travel, 20 stiffness of the stop
     spring = stiffer * p[17]
     damping = damped * p[18]
     square = x * x + y * y
@@ -200,6 +204,7 @@ def race_drag(speed: float, load: float, p: tuple[float, ...]) -> float:
     """Friction moment [N m] M_0 + mu_b F d/2 of a race that turns at a speed [rad/s] under a load
     [N]; it fades at rest. Compiles with numba as it stands.
     """
+    # p: 14 drag M_0, 15 drag_arm mu_b d/2
     return (p[14] + p[15] * load) * speed / (abs(speed) + _REST)
 
 
@@ -223,6 +228,8 @@ def longest_steps(bearing: Bearing, mobility: float, load: float) -> tuple[float
         spring = bearing.mount_stiffness
         if touching and math.isfinite(bearing.travel):
             spring += bearing.stop_stiffness
+        # squares of the oscillations' frequencies [1/s^2] and rates of decay [1/s], bounded by
+        # spring and damping over both masses that they part: rotor and race, race and ring, ring
         squares = [
             touching * (mobility + met) + stiff * race,
             stiff * (race + ring) + spring * ring,

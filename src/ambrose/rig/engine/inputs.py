@@ -252,6 +252,7 @@ def _spread(mean: np.ndarray) -> np.ndarray:
 
 
 def _powered(plan: Plan, first: int, count: int) -> np.ndarray:
+    """``Drive.powered``, (a, count)."""
     powered = np.ones((len(plan.rig.axes), count))
     for failure in plan.scenario.failures:
         axis = slice(None) if failure.axis is None else plan.rig.axes.index(failure.axis)
@@ -260,6 +261,7 @@ def _powered(plan: Plan, first: int, count: int) -> np.ndarray:
 
 
 def _unbalance(plan: Plan) -> np.ndarray:
+    """``Drive.unbalance``, (p, 2): masses times radius at their angles, on the modes."""
     rig = plan.rig
     if not plan.scenario.unbalances:
         return np.zeros((0, 2))

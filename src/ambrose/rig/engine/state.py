@@ -199,6 +199,7 @@ class Rig:
 
 
 def _after(start: int, count: int) -> slice:
+    """The next ``count`` places of the state, from ``start``."""
     return slice(start, start + count)
 
 
@@ -231,12 +232,14 @@ def build(
         if w is not None
     ]
     single = sensor.channels(machine.sensor_pairs, machine.axes)
-    tracks = [sensor.harmonics(pair) for pair in machine.sensor_pairs]
+    tracks = [sensor.harmonics(pair) for pair in machine.sensor_pairs]  # run-out
     base = foundation(machine)
     reaction = joined([item for _, item in reactions(machine, point)])
     force_at, force_constants = _forces(machine)
     shapes = _deflections(rotor, [port.position for port in places[0::2]], modes.shapes)
     landing = [touchdown.parameters(machine, b) for b in bearings]
+    # landing: numbers of the touchdown bearings, with what a radial force makes the rotor do there;
+    # heavy [N]: load of rolling elements for which race and ring are stepped
     met = [*zip(landing, (shapes[: len(bearings)] ** 2).sum(axis=1).tolist(), strict=True)]
     mass = float(1 / np.abs(modes.shapes[:, 0]).max() ** 2)
     heavy = _BLOW * STANDARD_GRAVITY * mass / len(bearings)
@@ -367,7 +370,7 @@ def _seal_lags(machine: Machine, point: OperatingPoint) -> np.ndarray:
 
 
 def kept() -> bool:
-    """Whether an earlier run has left them compiled."""
+    """Whether an earlier run has left the functions of ``compiled`` on this computer."""
     from ambrose.rig.engine.products import is_kept
 
     return all(map(is_kept, compiled()))

@@ -51,15 +51,15 @@ _BEYOND = 2.4  # the grid reaches this many times past the range of ISO 14839-3
 class Aims:
     """Limits; None asks for nothing.
 
-    sensitivity M, bandwidth [rad/s], stiff: sigma_max(S_o) stays below |(s + w_B A)/(s/M + w_B)|.
-    gain [A/m]: of K S_o, falling above roll_off [rad/s]. unbalance U [kg m] up to ``unbalance_to``
-    [rad/s]: orbit [m], currents (a,) [A] and forces (a,) [N] (nan: none), voltage: (largest [V],
-    inductance [H]) of a coil. compliance [m/N]. settling [s] after the current pulse. damping [-]
-    of modes below ``damped_to`` [rad/s], guard [-] of those above. running [rad/s]: lowest and
-    highest speed, near which modes are damped as API 617's separation margin asks. highest [rad/s]:
-    end of the grid. gain_asked, damping_asked: whether the machine file asks for the
-    gain and for the damping of modes above; tame [A/m]: the
-    guard of it where the file does not.
+    sensitivity M, bandwidth w_B [rad/s], stiff A [-]: sigma_max(S_o) stays below |(s + w_B A)/(s/M
+    + w_B)|. gain [A/m]: of K S_o, falling above roll_off [rad/s]. unbalance U [kg m] up to
+    ``unbalance_to`` [rad/s]: orbit [m], currents (a,) [A] and forces (a,) [N] (nan: none), voltage:
+    (largest [V], inductance [H]) of a coil. compliance [m/N]. settling [s] after the current pulse.
+    damping [-] of modes below ``damped_to`` [rad/s], guard [-] of those above. running [rad/s]:
+    lowest and highest speed, near which modes are damped as API 617's separation margin asks.
+    highest [rad/s]: end of the grid. gain_asked, damping_asked: whether the machine file asks for
+    the gain and for the damping of modes above; tame [A/m]: the guard of the gain where it does
+    not.
     """
 
     sensitivity: float
@@ -347,7 +347,7 @@ def channels_of(
     P: np.ndarray, a: int, omega: np.ndarray, aims: Aims, models: Sequence[LoopModel]
 ) -> list[Channel | Scaled]:
     """Sensitivity, gain, compliance, and under unbalance orbit, currents and forces, each over its
-    limit.
+    limit. P (m, w, 3a, 2a): ``LoopModel.response`` of the models at omega (w,) [rad/s], a axes.
     """
     # Columns of P: u, f; rows: y, q, i. With u = -K y: y = G u + G_yf f gives u = -Q G_yf f,
     # G the rows y and columns u.
@@ -361,19 +361,19 @@ def channels_of(
     every = np.arange(len(omega))
 
     # S_o = I - G Q,   K S_o = Q
-    found: list[Channel | Scaled] = [
+    channels: list[Channel | Scaled] = [
         Scaled("sensitivity", S_O, 1 / aims.sensitivity_limit(omega), every),
         Scaled("gain", DRIVE, 1 / aims.gain_limit(omega), every),
     ]
 
     # f -> q: G_qf - G_qu Q G_yf
     if aims.compliance is not None:
-        found.append(
+        channels.append(
             Channel("compliance", G_qf / aims.compliance, G_qu / aims.compliance, G_yf, every)
         )
     at = np.flatnonzero(omega <= aims.unbalance_to * (1 + 1e-9))
     if not aims.unbalance or not len(at):
-        return found
+        return channels
 
     # Under unbalance f = U omega^2, up to the speed at which it is asked for.
     force = aims.unbalance * omega[at, None, None] ** 2
@@ -382,7 +382,7 @@ def channels_of(
         rows = np.isfinite(limits)
         if rows.any():
             by = force / limits[rows][:, None]
-            found.append(
+            channels.append(
                 Channel(name, A[:, at][:, :, rows] * by, B[:, at][:, :, rows] * by, G_yf[:, at], at)
             )
 
@@ -404,12 +404,15 @@ def channels_of(
     under_unbalance(
         "force", k_i * G_if + k_s * G_qf, k_i * G_iu + k_s * G_qu, np.array(aims.forces)
     )
-    return found
+    return channels
 
 
 class Settling:
     """|y(t)| after the pulse over the band around zero, from frequency responses by quadrature
     of a cubic spline.
+
+    at (f,): which frequencies of the grid are used; late (t, f), early (t, f): weights of their
+    responses at times from the settling time on, and at those where the peak lies; settling [s].
     """
 
     __slots__ = ("at", "early", "late")

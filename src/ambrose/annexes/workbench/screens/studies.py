@@ -112,8 +112,8 @@ def show_studies(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
         f'sized = amb.size("{MACHINE}")',
         'amb.campaign("plans/plan.toml", "campaign")',
     )
-    found = [_study(), _size(), *_campaign(project, machine), same, *written]
-    return blocks.content(found, jobs=["study", "size", "campaign"])
+    items = [_study(), _size(), *_campaign(project, machine), same, *written]
+    return blocks.content(items, jobs=["study", "size", "campaign"])
 
 
 def _study() -> Block:
@@ -146,15 +146,15 @@ def _campaign(project: Project, machine: Machine) -> list[Block]:
         "tolerance.<parameter> (-1 to 1), or controller.gain."
     )
     write = blocks.button("Write the plan", "plan", main=True)
-    found = [blocks.form("plan", fields, [write], "A plan of many cases", hint=hint)]
+    items = [blocks.form("plan", fields, [write], "A plan of many cases", hint=hint)]
     plans = project.names("plans")
     if plans:
         newest = max(plans, key=lambda name: project.path("plans", name).stat().st_mtime)
         chosen = blocks.choice("plan", "Plan", plans, newest)
         button = blocks.job("Compute", "campaign")
         hint = "A cancelled campaign continues where it stopped."
-        found.append(blocks.form("do-campaign", [chosen], [button], "The campaign", hint=hint))
-    return found
+        items.append(blocks.form("do-campaign", [chosen], [button], "The campaign", hint=hint))
+    return items
 
 
 def _varied(machine: Machine) -> str:
@@ -196,13 +196,15 @@ def _vary(text: str) -> dict[str, Any]:
     try:
         vary: dict[str, Any] = tomlkit.parse(text).unwrap()
     except (TOMLKitError, ValueError, RecursionError) as error:
-        told = f"what is varied cannot be read: {error}; write a path in quotes, = and its values"
+        problem = (
+            f"what is varied cannot be read: {error}; write a path in quotes, = and its values"
+        )
     else:
         whole = [path for path in vary if path in _FILES]
         if not whole:
             return vary
-        told = f"{whole[0]} whole is chosen above; vary numbers of it, such as controller.gain"
-    raise Refusal(told, {"vary": told})
+        problem = f"{whole[0]} whole is chosen above; vary numbers of it, such as controller.gain"
+    raise Refusal(problem, {"vary": problem})
 
 
 SCREEN_STUDIES = Screen(show_studies, {"plan": _plan})
@@ -253,11 +255,11 @@ def _folder(project: Project, name: str) -> list[blocks.Block]:
     if any(path.name.endswith("_test.c") for path in files):
         buttons.insert(0, blocks.button("Self test", "test", main=True, code=name))
     table = blocks.rows_table(f"code/{name}", ("file", "size"), rows)
-    found = [blocks.table(f"files-{name}", table), blocks.form(f"do-{name}", (), buttons)]
+    items = [blocks.table(f"files-{name}", table), blocks.form(f"do-{name}", (), buttons)]
     if f"{name}.zip" in project.names("code"):
         address = f"/files/code/{name}.zip"
-        found.append(blocks.link(f"zip-{name}", address, f"Download {name}.zip"))
-    return found
+        items.append(blocks.link(f"zip-{name}", address, f"Download {name}.zip"))
+    return items
 
 
 def _files(project: Project, name: str) -> list[Path]:
@@ -265,8 +267,8 @@ def _files(project: Project, name: str) -> list[Path]:
     root = project.folder("code") / slug(name, "folder of code")
     if not root.is_dir() or root.is_symlink():
         raise Refusal(f"there is no code/{name}; export it first")
-    found = [path for path in sorted(root.iterdir()) if path.is_file() and not path.is_symlink()]
-    return found[:_FILES_DEPLOY]
+    files = [path for path in sorted(root.iterdir()) if path.is_file() and not path.is_symlink()]
+    return files[:_FILES_DEPLOY]
 
 
 def _test(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
