@@ -33,7 +33,13 @@ from ambrose.core.mu.bounds import mu_bounds
 from ambrose.core.norms import hinf_norm
 from ambrose.core.processes import TimeLimit
 from ambrose.core.statespace import StateSpace, poles, spectral_abscissa
-from ambrose.judge.result import Certificate, Status, Synthesis, generalized_certificate
+from ambrose.judge.result import (
+    CERTIFYING,
+    Certificate,
+    Status,
+    Synthesis,
+    generalized_certificate,
+)
 from ambrose.law.design_problem import with_performance_block
 from ambrose.synthesis.hinf import hinf_synthesis
 from ambrose.synthesis.mu_scalings import (
@@ -144,6 +150,8 @@ def mu_synthesis(
         reason = "interrupted" if isinstance(stop, KeyboardInterrupt) else late
         if not iterates:
             raise
+        if isinstance(stop, KeyboardInterrupt):
+            job.say(CERTIFYING)
     return _result(job, iterates, reason)
 
 

@@ -21,7 +21,14 @@ from ambrose.core.checks import NumericalFailure, named_failure
 from ambrose.core.frequency import frequency_response, largest_gain
 from ambrose.core.statespace import StateSpace, select
 from ambrose.judge.campbell import held_to, modes, pole_checks
-from ambrose.judge.result import Certificate, Status, Synthesis, certify, fastest_pole
+from ambrose.judge.result import (
+    CERTIFYING,
+    Certificate,
+    Status,
+    Synthesis,
+    certify,
+    fastest_pole,
+)
 from ambrose.judge.verdict import search
 from ambrose.law.loop import Timing, closed_loop
 from ambrose.machine.part import PidSettings
@@ -318,6 +325,8 @@ def _better(
         try:
             if aims is not job.aims:
                 tame = tuned(again, law, structure)
+                if tame.stopped_early == INTERRUPTED:
+                    return replace(found, stopped_early=INTERRUPTED)
                 law = tame.controller if tame.filters is None else tame.filters
             other = tuned(replace(again, aims=job.aims, before=[]), law, structure)
         except NumericalFailure as error:
@@ -325,6 +334,8 @@ def _better(
             continue
         if other.gamma < found.gamma:
             found = other
+        if other.stopped_early == INTERRUPTED:
+            return replace(found, stopped_early=INTERRUPTED)
         if found.gamma <= 1 or job.clock.left <= 0:
             break
     return found
@@ -363,6 +374,7 @@ def tuned(
         if not rounds:
             raise
         reason = INTERRUPTED
+        job.say(CERTIFYING)
     except (
         NumericalFailure
     ) as error:  # of a member that nothing was found to hold: what the rounds gave is kept
