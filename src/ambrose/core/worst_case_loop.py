@@ -394,9 +394,7 @@ def determinants_at(
     )
 
 
-def _by_minors(
-    M11: np.ndarray, owner: np.ndarray, delta: np.ndarray, shared: Ports
-) -> np.ndarray:
+def _by_minors(M11: np.ndarray, owner: np.ndarray, delta: np.ndarray, shared: Ports) -> np.ndarray:
     """The same for one or two channels, by a product of real matrices for all points at once:
     det(I - G N) = 1 - tr G N + the sum over minors of G and N of two columns and rows
     (Cauchy-Binet).
