@@ -26,6 +26,8 @@ _TWICE = 0.5  # s in which a second signal is the first one, passed on by anothe
 # objects made until cycles are looked for: what an import makes stays, and looking through it every
 # 700 objects is a tenth of a short command
 _OBJECTS = 50_000
+_PROCESSORS = "/proc/cpuinfo"  # of Linux; the first of them is described in so many bytes
+_ONE = 4096
 _WORDS = b"ambrose: interrupted; what was finished before stays on disk\n"
 
 
@@ -33,6 +35,11 @@ def main() -> None:
     """The command, with the arguments of this process."""
     # a machine file is read without pydantic's plugins: to look for some takes longer than to read
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+    # OpenBLAS's kernels for AVX-512 take two to three times as long as those for AVX2 for a product
+    # of small matrices, of which a design is made
+    with suppress(OSError), open(_PROCESSORS, "rb") as described:
+        if b" avx512f " in described.read(_ONE):
+            os.environ.setdefault("OPENBLAS_CORETYPE", "Haswell")
     gc.set_threshold(_OBJECTS, *gc.get_threshold()[1:])
     asked: list[int] = []
     ends = [0.0, 0.0]  # [s] of patience, and of the time in which a second signal is the first
@@ -48,7 +55,8 @@ def main() -> None:
             _end(number)
 
     def at_work() -> None:
-        ends[0] = time.monotonic() + _AT_WORK
+        if signal.SIGTERM not in asked:  # who sends that does not wait
+            ends[0] = time.monotonic() + _AT_WORK
 
     try:
         _run(interrupt, asked, at_work)
