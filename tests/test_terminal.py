@@ -26,6 +26,8 @@ from ambrose.code.block.block import check_identifier
 from ambrose.core.checks import InvalidInput
 from ambrose.identification.result import Provenance, as_comment
 from ambrose.judge.checks import Check, Checks, Verification
+from ambrose.judge.controller_file import read_controller
+from ambrose.judge.result import CERTIFYING
 from ambrose.machine.file.toml import bundled_machines
 from ambrose.machine.ordinary_file import check_source, file_name, write_files, write_text
 from ambrose.record import apart
@@ -234,6 +236,52 @@ main()
         [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60
     )
     assert (done.returncode, done.stderr.count("\n"), done.stdout) == (130, 1, "")
+
+
+@POSIX
+@pytest.mark.parametrize("twice", [False, True])
+def test_an_interrupted_design_certifies_what_it_has_unless_it_is_interrupted_again(
+    tmp_path, twice
+):
+    code = f"""
+import signal, time
+signal.signal(signal.SIGINT, signal.default_int_handler)
+import ambrose.__main__ as start
+from ambrose.synthesis.fixed_order import tuning
+start._PATIENCE = 1.0
+best = tuning._best
+def late(*given):
+    time.sleep({60 if twice else 3})
+    return best(*given)
+tuning._best = late
+start.main()
+"""
+    path = tmp_path / "law.json"
+    words = ["synthesize", "flywheel", "--method", "tuned", "-o", str(path)]
+    run = subprocess.Popen(
+        [sys.executable, "-c", code, *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        for line in run.stderr:
+            if "round 1:" in line:
+                run.send_signal(signal.SIGINT)
+            if CERTIFYING in line:
+                break
+        time.sleep(1.0)
+        if twice:
+            run.send_signal(signal.SIGINT)
+        _, rest = run.communicate(timeout=50)
+    finally:
+        run.kill()
+    assert run.returncode == 130
+    assert path.exists() != twice
+    if twice:
+        assert rest.strip() == "ambrose: interrupted; what was finished before stays on disk"
+    else:
+        assert read_controller(path).stopped_early == "interrupted"
 
 
 def test_an_interruption_within_a_command_is_130(monkeypatch):
@@ -530,7 +578,7 @@ def test_an_inherited_deafness_to_interruptions_stays():
 TERMINATED = """
 import ambrose.cli, sys, time
 from ambrose.machine.ordinary_file import claimed
-def main():
+def main(**given):
     with claimed(sys.argv[1], "file"):
         print("held", flush=True)
         time.sleep(3600)

@@ -376,8 +376,22 @@ def load_controller(path: Path, machine: Machine) -> Synthesis:
 def progress_shown(quiet: bool) -> Iterator[Callable[[str], None]]:
     """A spinner with the present stage and its time on a terminal; nothing with --json.
 
-    Elsewhere a line per stage, and one every _SILENCE seconds of a stage that lasts.
+    Elsewhere a line per stage, and one every _SILENCE seconds of a stage that lasts. Every stage is
+    a sign of work to the process, which waits for some after Ctrl-C.
     """
+    context = click.get_current_context(silent=True)
+    at_work = (context and context.obj) or (lambda: None)
+    with _stages_shown(quiet) as show:
+
+        def step(stage: str) -> None:
+            at_work()
+            show(stage)
+
+        yield step
+
+
+@contextmanager
+def _stages_shown(quiet: bool) -> Iterator[Callable[[str], None]]:
     if quiet:
         yield lambda stage: None
         return

@@ -15,7 +15,7 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, feedback, poles, select, series, static_gain
 from ambrose.core.worst_case_loop import box_points
 from ambrose.judge.result import certify
-from ambrose.judge.sampled import SampledBox, check_over_box, sampled_box
+from ambrose.judge.sampled import SampledBox, _first_peaks, check_over_box, sampled_box
 from ambrose.law.loop import Timing, match_controller
 from ambrose.law.pid import pid_controller
 from ambrose.machine.description import Tolerance
@@ -69,6 +69,32 @@ def test_the_box_is_not_below_its_nominal_point_nor_any_member(loop):
     resonances = found.beside(found.closed_loop_poles(members[0]))
     grid = np.union1d(found.base_grid(), resonances)
     assert value >= found.gains(grid, members).max() * (1 - 1e-6)
+
+
+def test_what_a_gain_cannot_exceed_and_no_start_is_lost_by_it(loop, monkeypatch):
+    plant, controller, held = loop
+    box = sampled_box(plant, controller, held)
+    members = np.vstack([box_points(len(held)), 0.3 * box_points(len(held))])
+    light = box.beside(box.closed_loop_poles(members[0]))
+    grid = np.union1d(box.base_grid(), light)
+    limit, gain = box.gain_limit(grid, 2), box.sensitivity(grid, members, 2)
+    assert (np.linalg.norm(gain, 2, axis=(2, 3)) <= limit * (1 + 1e-9)).all()
+    left_out = limit < np.linalg.norm(gain[0], 2, axis=(1, 2)).max()
+    assert 0.2 < left_out.mean() < 1  # sharp enough to be of use
+
+    poles = [box.light(row) for row in box.closed_loop_poles(members)]
+    for few in (members, members[:3]):
+        part = few, poles[: len(few)], np.zeros(len(few), bool)
+        peaks = _first_peaks(box, *part)
+        with monkeypatch.context() as patched:
+            patched.setattr(
+                SampledBox, "gain_limit", lambda self, omega, aliases: np.full(len(omega), np.inf)
+            )
+            whole = _first_peaks(box, *part)
+        highest = [sorted(found, key=lambda peak: -peak.value)[:4] for found in (peaks, whole)]
+        for one, other in zip(*highest, strict=True):
+            assert one.value == pytest.approx(other.value, rel=1e-12)
+            assert one.meets(other)
 
 
 def test_the_worst_member_is_confirmed_by_its_own_norm(loop):

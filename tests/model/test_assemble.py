@@ -9,8 +9,10 @@ from ambrose import load_machine
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import poles, select
 from ambrose.machine.description import Coupling, OperatingPoint
+from ambrose.machine.file.toml import bundled_machines
 from ambrose.model.assemble import assemble, attached_rotor
 from ambrose.model.effects.rotor import finite_element_rotor
+from coarse import coarse
 
 
 @pytest.fixture(scope="module")
@@ -185,3 +187,21 @@ def test_states_mean_the_same_at_every_operating_point():
         np.testing.assert_array_equal(other.B, first.B)
         np.testing.assert_array_equal(other.A[:n], first.A[:n])
         assert np.abs(other.A[n:, :n] - first.A[n:, :n]).max() > 10.0
+
+
+@pytest.mark.parametrize("name", bundled_machines())
+def test_a_plant_beside_another_one_is_the_same(name):
+    """At another speed, and at another pressure, current or machine, where nothing is taken."""
+    machine = coarse(name)
+    points = machine.operation.points
+    first = assemble(machine, points[0])
+    moved = [replace(points[0], speed=0.9 * points[0].speed), *points[1:]]
+    for other in (machine, replace(machine, name="another")):
+        for point in moved:
+            found, expected = assemble(other, point, beside=first), assemble(other, point)
+            assert found.point == point and found.machine is other
+            for letter in "ABCD":
+                one, same = (getattr(plant.system, letter) for plant in (found, expected))
+                np.testing.assert_array_equal(one, same)
+            assert found.system.inputs == expected.system.inputs
+            np.testing.assert_array_equal(found.rotor.A, expected.rotor.A)

@@ -492,7 +492,9 @@ def verify(
     controller = None if path is None else load_controller(path, description)
     if asked["axial"] is not None:
         options = replace(options, axial=load_controller(asked["axial"], description.axial))
-    options = replace(options, axes=narrowed())
+    # what no requirement limits is computed where it is shown
+    shown = everything or as_json or report is not None
+    options = replace(options, axes=narrowed(), informed=shown)
     fastest = options.pressure_rate or description.operation.pressure_rate
     if options.pressure_error and fastest is None:
         raise invalid(

@@ -306,7 +306,17 @@ class Ports:
 
     def eigenvalues(self, M11: np.ndarray, wide: np.ndarray) -> np.ndarray:
         """Those of M11 diag(wide) (..., r) but for n - r zeros, M11 (..., n, n), wide (..., n)."""
-        return np.linalg.eigvals(self.gain(wide) @ M11[..., self.outputs[:, None], self.inputs])
+        P = self.gain(wide) @ M11[..., self.outputs[:, None], self.inputs]
+        if P.shape[-1] != 2:
+            return np.linalg.eigvals(P)
+
+        # the larger one x of half the trace and the root of the discriminant; the other is det / x
+        half = 0.5 * (P[..., 0, 0] + P[..., 1, 1])
+        off = P[..., 0, 1] * P[..., 1, 0]
+        root = np.sqrt(np.square(0.5 * (P[..., 0, 0] - P[..., 1, 1])) + off + 0j)
+        x = half + np.where((half.conj() * root).real < 0, -root, root)
+        det = P[..., 0, 0] * P[..., 1, 1] - off
+        return np.stack([x, det / np.where(x == 0, 1.0, x)], axis=-1)
 
 
 def ports(system: StateSpace, n: int) -> Ports:

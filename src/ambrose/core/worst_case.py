@@ -343,8 +343,7 @@ def _pole_beside(loop: BoxLoop, delta: np.ndarray, omega: float) -> tuple[float,
     broad = (max(0.05 * omega, 1e-3 * float(np.abs(loop.poles).min(initial=1.0))), np.zeros(k))
     if omega == 0.0:
         return broad
-    at = np.array([omega])
-    M, slope = loop.at(at)[0, :n, :n], loop.response.slope(at)[0, :n, :n]
+    M, slope = (part[:n, :n] for part in loop.response.with_slope(omega))
     wide = delta[loop.owner]
     X = np.eye(n) - M * wide
     try:
@@ -387,8 +386,7 @@ def _log_gain(loop: BoxLoop, delta: np.ndarray, omega: float) -> tuple[float, np
     """-ln sigma_max(T(delta)) at omega [rad/s], its gradient (k,) and its derivative with respect
     to omega.
     """
-    at = np.array([omega])
-    return _slopes(loop.at(at)[0], loop.response.slope(at)[0], loop, delta)
+    return _slopes(*loop.response.with_slope(omega), loop, delta)
 
 
 def _slopes(

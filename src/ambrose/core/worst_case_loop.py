@@ -370,6 +370,8 @@ def determinants_at(
     """h = det(I - M11 diag(delta)), (d, w), for M11 (w, n, n), the parameter ``owner`` (n,) of each
     channel, delta (d, k). shared: the channels that all are made of, where they are known.
     """
+    if shared is not None and len(shared.inputs) <= 2:
+        return _by_minors(M11, owner, delta, shared)
     branching = _branching(owner, delta)
     if branching is not None:
         return _closed(M11, owner, delta, branching)
@@ -390,6 +392,28 @@ def determinants_at(
             for i in range(0, max(1, len(delta)), step)
         ]
     )
+
+
+def _by_minors(M11: np.ndarray, owner: np.ndarray, delta: np.ndarray, shared: Ports) -> np.ndarray:
+    """The same for one or two channels, by a product of real matrices for all points at once:
+    det(I - G N) = 1 - tr G N + the sum over minors of G and N of two columns and rows
+    (Cauchy-Binet).
+    """
+    G, N = shared.gain(delta[:, owner]), M11[:, shared.outputs[:, None], shared.inputs]
+    (d, r, q), w = G.shape, len(N)
+    of_points = [-G.swapaxes(1, 2).reshape(d, q * r)]
+    of_responses = [N.reshape(w, q * r)]
+    if r == 2:
+        i, j = np.triu_indices(q, 1)
+        of_points.append(G[:, 0, i] * G[:, 1, j] - G[:, 0, j] * G[:, 1, i])
+        of_responses.append(N[:, i, 0] * N[:, j, 1] - N[:, j, 0] * N[:, i, 1])
+    left, right = np.hstack(of_points), np.ascontiguousarray(np.hstack(of_responses).T)
+    h = (left @ right.view(float)).view(complex) + 1
+
+    # what cancels has lost digits
+    i, j = np.nonzero(~(np.abs(h) > _SMALL * (1 + np.abs(left) @ np.abs(right))))
+    h[i, j] = _all_determinants(M11[j], delta[i][:, owner])
+    return np.asarray(h)
 
 
 def _branching(owner: np.ndarray, delta: np.ndarray) -> _Branching | None:
@@ -721,8 +745,8 @@ class _Eigenvalue:
 
 
 def _eigenvalue(loop: BoxLoop, v: np.ndarray, omega: float, near: complex) -> _Eigenvalue | None:
-    at, n = np.array([omega]), len(loop.owner)
-    M, slope = loop.at(at)[0, :n, :n], loop.response.slope(at)[0, :n, :n]
+    n = len(loop.owner)
+    M, slope = (part[:n, :n] for part in loop.response.with_slope(omega))
     wide = v[loop.owner]
     M = M if omega > 0 else M.real
 

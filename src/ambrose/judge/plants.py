@@ -72,8 +72,9 @@ def chosen_point(machine: Machine, point: str | OperatingPoint | None) -> Operat
 
 def plants_along_speed(plant: Plant) -> Callable[[float], Plant]:
     """Speed [rad/s] -> the plant assembled anew at that speed."""
+    beside = assemble(plant.machine, plant.point)
     return lambda speed: with_offsets_of(
-        assemble(plant.machine, replace(plant.point, speed=speed)), plant
+        assemble(plant.machine, replace(plant.point, speed=speed), beside=beside), plant
     )
 
 

@@ -97,8 +97,8 @@ def check(
     requirements: default the machine's; sensitivity_peak is the limit of the worst case. omega (w,)
     [rad/s]: grid of the curves (default 0.1 Hz to 5 kHz, dense around resonances). informed: by how
     much the tolerances might grow with stability proved, which a proved bound of the sensitivity
-    proves for themselves, and the input's sensitivity. progress(stage, fraction) is called between
-    stages. An unstable nominal loop yields stable=False. Raises
+    proves for themselves, the input's sensitivity, and the curves. progress(stage, fraction) is
+    called between stages. An unstable nominal loop yields stable=False. Raises
     InvalidInput: sampled controllers, wrong sizes, no tolerances.
     """
     tell = progress or (lambda stage, fraction: None)
@@ -407,7 +407,7 @@ def _sensitivity(
             ),
             (input_, ".input", "Input sensitivity over the tolerances", ()),
         )
-        if loop is not None
+        if loop is not None and input_ is not None
     ]
     return checks, curves, worst
 

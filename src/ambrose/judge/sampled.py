@@ -16,7 +16,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
-from ambrose.core.frequency import SchurForm, evaluate, largest_gains, peak_near, schur_form
+from ambrose.core.frequency import (
+    SchurForm,
+    evaluate,
+    largest_gain,
+    largest_gains,
+    peak_near,
+    schur_form,
+)
 from ambrose.core.lft import Ports, RealBlock, ports, upper_lft, upper_lft_responses
 from ambrose.core.mu.all_frequencies import Chords, modal_chords
 from ambrose.core.sampling import held
@@ -125,6 +132,19 @@ class SampledBox:
         self, omega: np.ndarray, delta: np.ndarray, aliases: int = ALIASES
     ) -> np.ndarray:
         """G_T (d, w, a, a) [m/A] behind the hold."""
+        M, hold = self._at_aliases(omega, aliases)
+        gain = self.ports.gain(delta[:, self.owner])
+        step = max(1, _HELD // (hold.shape[1] * len(delta)))
+        parts = []
+        for k in range(0, max(1, len(omega)), step):
+            part = M[:, :, k : k + step]
+            terms = upper_lft_responses(part.reshape(*M.shape[:2], -1), gain)
+            terms = terms.reshape(*terms.shape[:3], *part.shape[2:])
+            parts.append(np.einsum("dijwk,wk->dwij", terms, hold[k : k + step]))
+        return np.concatenate(parts, axis=1)
+
+    def _at_aliases(self, omega: np.ndarray, aliases: int) -> tuple[np.ndarray, np.ndarray]:
+        """M (z + p, w + m, w, 2 aliases + 1) of the channels, and the hold there."""
         dt = self.sample_time
         # 1 - e^{-j w T} is the same at all aliases
         turn = 1 - np.exp(-1j * omega * dt)
@@ -135,16 +155,28 @@ class SampledBox:
         M = self.model.at(np.abs(alias.ravel()))
         M = np.where((alias.ravel() < 0)[:, None, None], M.conj(), M)  # M(-j w) = conj M(j w)
         M = M.transpose(1, 2, 0).reshape(*M.shape[1:], *alias.shape)
-        gain = self.ports.gain(delta[:, self.owner])
-        hold = turn[:, None] / (1j * alias * dt)
-        step = max(1, _HELD // (alias.shape[1] * len(delta)))
-        parts = []
-        for k in range(0, max(1, len(omega)), step):
-            part = M[:, :, k : k + step]
-            terms = upper_lft_responses(part.reshape(*M.shape[:2], -1), gain)
-            terms = terms.reshape(*terms.shape[:3], *part.shape[2:])
-            parts.append(np.einsum("dijwk,wk->dwij", terms, hold[k : k + step]))
-        return np.concatenate(parts, axis=1)
+        return M, turn[:, None] / (1j * alias * dt)
+
+    def gain_limit(self, omega: np.ndarray, aliases: int = ALIASES) -> np.ndarray:
+        """What ``gains`` cannot exceed anywhere in the box, (w,), by norms alone."""
+        M, hold = self._at_aliases(omega, aliases)
+        z, w = self.ports.out_of.shape[1], self.ports.into.shape[0]
+        M = M.transpose(2, 3, 0, 1)
+
+        # G moves by M21 delta (I - M11 delta)^-1 M12 at every alias, |delta| <= 1
+        above = self.ports.out_of @ M[:, :, :z]
+        room = 1 - largest_gain(above[..., :w] @ self.ports.into)
+        moved = largest_gain(M[:, :, z:, :w] @ self.ports.into) * largest_gain(above[..., w:])
+        moved = (
+            np.abs(hold) * np.where(room > 0, moved / np.where(room > 0, room, 1), np.inf)
+        ).sum(axis=1)
+
+        # S = S0 (I + dG K S0)^-1
+        law = evaluate(self.law, np.exp(1j * omega * self.sample_time))
+        nominal = np.einsum("wkij,wk->wij", M[:, :, z:, w:], hold)
+        S = np.linalg.inv(np.eye(len(law[0])) + nominal @ law)
+        left = 1 - moved * largest_gain(law @ S)
+        return np.where(left > 0, largest_gain(S) / np.where(left > 0, left, 1.0), np.inf)
 
     def gains(self, omega: np.ndarray, delta: np.ndarray, aliases: int = ALIASES) -> np.ndarray:
         """sigma_max(S_o) (d, w) where it may be the largest of a point's; else something below."""
@@ -352,24 +384,9 @@ def check_over_box(
     examined = _on_full_plant(full, points, poles, abscissa, 1 + len(extra))
     light = [box.light(row) for row in poles]
 
-    # the peak of every member on the grid, which all share but for what lies beside resonances;
-    # members whose resonances are alike share that, too
-    base = box.base_grid()
-    peaks = [
-        Peak(float(row.max()), float(base[row.argmax()]), point)
-        for row, point in zip(box.gains(base, points, _FIRST_LOOK), points, strict=True)
-    ]
-    for members in _alike(light):
-        grid = box.beside(light[members[0]])
-        if not len(grid):
-            continue
-        for i, row in zip(members, box.gains(grid, points[members], _FIRST_LOOK), strict=True):
-            if row.max() > peaks[i].value:
-                peaks[i] = Peak(float(row.max()), float(grid[row.argmax()]), points[i])
-
     # the search moves on the gain alone: where it ends the poles are looked at again
     unstable = abscissa >= 0
-    worst, found = _worst(full, peaks, unstable)
+    worst, found = _worst(full, _first_peaks(box, points, light, unstable), unstable)
     if found.size and found.max() >= 0:
         points = np.vstack([points, worst.delta])
         abscissa = np.append(abscissa, found.max())
@@ -424,6 +441,41 @@ def check_over_box(
         ),
     ]
     return Checks("over the tolerances, sampled", not unstable[0], tuple(checks))
+
+
+def _first_peaks(
+    box: SampledBox, points: np.ndarray, light: Sequence[np.ndarray], unstable: np.ndarray
+) -> list[Peak]:
+    """The peak of every member on the grid, which all share but for what lies beside resonances;
+    members whose resonances are alike share that, too.
+
+    Where no member can have more than the nominal point they are left out, unless that would
+    change which are the highest.
+    """
+    base, everyone = box.base_grid(), np.arange(len(points))
+    alike = _alike(light)
+    parts = [(base, everyone), *((box.beside(light[m[0]]), np.array(m)) for m in alike)]
+    ends = np.cumsum([len(grid) for grid, _ in parts])[:-1]
+    every = np.concatenate([grid for grid, _ in parts])
+    limits = np.split(box.gain_limit(every, _FIRST_LOOK), ends)
+    least = float(box.gains(base, points[:1], _FIRST_LOOK).max())
+    peaks = [Peak(-np.inf, float(base[0]), point) for point in points]
+
+    def look(*, above: bool) -> None:
+        for (grid, members), limit in zip(parts, limits, strict=True):
+            part = grid[(limit >= least) == above]
+            if not len(part):
+                continue
+            rows = box.gains(part, points[members], _FIRST_LOOK)
+            for i, row in zip(members.tolist(), rows, strict=True):
+                if row.max() > peaks[i].value:
+                    peaks[i] = Peak(float(row.max()), float(part[row.argmax()]), points[i])
+
+    look(above=True)
+    highest = sorted(peak.value for peak, lost in zip(peaks, unstable, strict=True) if not lost)
+    if len(highest) <= _STARTS or highest[-_STARTS - 1] < least:
+        look(above=False)
+    return peaks
 
 
 class _FullPoles:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -265,14 +266,19 @@ def named_point(point: OperatingPoint) -> Iterator[None]:
 
 @names_wrong_types
 def assemble(
-    machine: Machine, point: OperatingPoint | str | None = None, *, every_mode: bool = False
+    machine: Machine,
+    point: OperatingPoint | str | None = None,
+    *,
+    every_mode: bool = False,
+    beside: Plant | None = None,
 ) -> Plant:
     """The full plant at an operating point, or its label (default: the machine's nominal one).
 
     Its states mean the same at every operating point, see ``attached_statespace``. every_mode: in
     all modes of the mesh (4 DOF per node) in place of those that matter (``model.assemble``, which
-    says how little they differ). Raises InvalidInput where the point lies outside a seal's table or
-    a bearing's measured bias currents.
+    says how little they differ). beside: the plant at another speed, whose wiring is taken where it
+    is the same. Raises InvalidInput where the point lies outside a seal's table or a bearing's
+    measured bias currents.
     """
     point = machine.operation.nominal if point is None else operating_point(machine, point)
     with named_point(point):
@@ -280,7 +286,8 @@ def assemble(
             return wire(machine, point, wiring.rotor_statespace(machine, point))
         rotor = finite_element_rotor(machine)
         modes = rotor.most_bending if every_mode else None
-        return wire(machine, point, attached_statespace(machine, point, rotor, modes))
+        attached = attached_statespace(machine, point, rotor, modes)
+        return _wired_alike(machine, point, attached, beside) or wire(machine, point, attached)
 
 
 def attached_statespace(
@@ -498,6 +505,30 @@ def seal_coefficients(item: Seal, point: OperatingPoint) -> seal.SealCoefficient
     """
     frequency = point.speed if point.whirl_frequency is None else point.whirl_frequency
     return seal.coefficients(item, point.seal_pressure, point.speed, frequency)
+
+
+def _wired_alike(
+    machine: Machine, point: OperatingPoint, rotor: StateSpace, other: Plant | None
+) -> Plant | None:
+    """The plant of a rotor that differs from that of another plant in A alone; None where it does
+    not, or the wiring does.
+    """
+    if other is None or rotor.A.shape != other.rotor.A.shape:
+        return None
+    n, wiring_of = (
+        rotor.n_states,
+        [magnet_coefficients(machine, at)[0] for at in (point, other.point)],
+    )
+    same = [
+        (other.system.A[:n, :n], other.rotor.A),
+        wiring_of,
+        *((getattr(rotor, k), getattr(other.rotor, k)) for k in "BCD"),
+    ]
+    if other.machine is not machine or not all(np.array_equal(*pair) for pair in same):
+        return None
+    A = other.system.A.copy()
+    A[:n, :n] = rotor.A
+    return replace(other, point=point, rotor=rotor, system=replace(other.system, A=A))
 
 
 def wire(

@@ -62,6 +62,7 @@ def hinf_synthesis(
     backoff: float = 1.03,
     tolerance: float = 1e-3,
     method: Literal["riccati", "lmi"] = "riccati",
+    lower: bool = True,
     time_limit: float = 60.0,
     progress: Callable[[str], None] | None = None,
 ) -> Synthesis:
@@ -71,7 +72,8 @@ def hinf_synthesis(
     plant: continuous; any D11 and D22; the sign of the loop is inside it (core/lft.py). backoff [-]
     >= 1: how far above the optimum to stay, for the optimal controller itself has arbitrarily fast
     poles; tolerance [-]: relative, of the optimal gamma; method: "riccati" (two Riccati equations)
-    or "lmi" (slower, needs no assumption on D12, D21 and axis zeros); time_limit [s] of computing,
+    or "lmi" (slower, needs no assumption on D12, D21 and axis zeros); lower: False leaves
+    "gamma_lower" at 0; time_limit [s] of computing,
     and five times that on the wall; progress: called with one line of text per step.
 
     Where an assumption of the Riccati equations fails, the plant is regularised with the smallest
@@ -103,7 +105,12 @@ def hinf_synthesis(
             "method", repr(method), '"riccati" or "lmi"', "leave it out for the Riccati equations"
         )
     job = _Job(
-        check_plant(plant), backoff, tolerance, TimeLimit(time_limit), progress or (lambda _: None)
+        check_plant(plant),
+        backoff,
+        tolerance,
+        TimeLimit(time_limit),
+        progress or (lambda _: None),
+        lower,
     )
     scaled = scale_plant(plant)
     assumptions = check_assumptions(scaled)
@@ -173,6 +180,7 @@ class _Job:
     tolerance: float
     clock: TimeLimit
     say: Callable[[str], None]
+    lower: bool
 
     def check_time(self, best: str = "") -> None:
         if self.clock.left <= 0:
@@ -241,7 +249,7 @@ def _by_riccati(job: _Job, scaled: ScaledPlant, epsilon: float) -> _Design:
             return _Design(
                 controller,
                 certificate,
-                shown_bound(normal, search),
+                shown_bound(normal, search) if job.lower else 0.0,
                 search.best.gamma,
                 gamma,
                 epsilon,
@@ -428,6 +436,9 @@ _SPAN = 200.0
 _LARGEST_STEP = np.log(30.0)
 
 
+Begun = tuple[StateSpace, Callable[[], Synthesis]]  # a controller, and what certifies it
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Tuning:
     """The tuned weights and the controller they gave.
@@ -492,6 +503,7 @@ def tune_control_weight(
     uncertain: bool = True,
     tolerance: float = 0.02,
     max_syntheses: int = 12,
+    begin: Callable[[GeneralizedPlant], Begun] | None = None,
 ) -> Tuning:
     """W_u multiplied by the factor at which the synthesised controller's direct gains match the
     reference's in the band.
@@ -499,28 +511,33 @@ def tune_control_weight(
     plant, weights, uncertain: as for ``design_plant``. reference_controller: err_<axis> ->
     u_<axis>, usually the PID. synthesize: design problem -> Synthesis (H-infinity, mu). tolerance
     [-]: of the mean ln ratio, 0.02 is 2 % of gain. A bracketing secant search in ln(factor); where
-    the gains cannot be matched the nearest is returned with converged False. Raises what
-    ``synthesize`` raises for the weights it is first given.
+    the gains cannot be matched the nearest is returned with converged False. begin: in place of
+    ``synthesize``, where certificates take long: of the last controller alone it is made. Raises
+    what ``synthesize`` raises for the weights it is first given.
     """
     check_positive(tolerance, "tolerance", "0.02 is 2 % of gain")
-    trials: dict[float, tuple[Synthesis, float]] = {}
+    trials: dict[float, tuple[Callable[[], Synthesis], float]] = {}
+
+    def begun(problem: GeneralizedPlant) -> Begun:
+        made = synthesize(problem)
+        return made.controller, lambda: made
 
     def mismatch(x: float) -> float:
-        made = synthesize(
+        controller, finish = (begin or begun)(
             design_plant(plant, scale_control(weights, float(np.exp(x))), uncertain=uncertain)
         )
-        trials[x] = made, direct_gain_mismatch(made.controller, reference_controller)[0]
+        trials[x] = finish, direct_gain_mismatch(controller, reference_controller)[0]
         return trials[x][1]
 
     _search(mismatch, tolerance, max_syntheses)
     x = min(trials, key=lambda key: abs(trials[key][1]))
-    made, mean = trials[x]
+    finish, mean = trials[x]
     history = tuple(
         {"factor": float(np.exp(key)), "mismatch": value} for key, (_, value) in trials.items()
     )
     factor = float(np.exp(x))
     return Tuning(
-        scale_control(weights, factor), made, factor, mean, abs(mean) <= tolerance, history
+        scale_control(weights, factor), finish(), factor, mean, abs(mean) <= tolerance, history
     )
 
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from ambrose.model.plant import Plant
     from ambrose.record.response import Response
     from ambrose.synthesis.fixed_order.job import Law
+    from ambrose.synthesis.hinf import Begun
 
 
 # What every method of design has: a name, when the loop runs, and a controller for a plant.
@@ -138,6 +139,11 @@ class Weighted(Lowered):
     def minimise(self, problem: GeneralizedPlant) -> Synthesis:
         """The controller of a design problem."""
 
+    def begin(self, problem: GeneralizedPlant) -> Begun:
+        """The same, and what certifies it: of several it is compared first."""
+        made = self.minimise(problem)
+        return made.controller, lambda: made
+
     def refine(
         self,
         start: Synthesis,
@@ -209,9 +215,7 @@ class Weighted(Lowered):
         if self.bending_modes:
             margins["bending_modes"] = float(self.bending_modes)
         if matched:
-            result, weights = _as_strong(
-                model, weights, reference, self.minimise, uncertain, progress
-            )
+            result, weights = _as_strong(model, weights, reference, self, uncertain, progress)
         else:
             result = self.minimise(design_plant(model, weights, uncertain=uncertain))
         result = self.refine(result, model, weights, plant, progress)
@@ -279,7 +283,7 @@ def _as_strong(
     model: GeneralizedPlant,
     weights: Weights,
     reference: StateSpace | None,
-    minimise: Callable[[GeneralizedPlant], Synthesis],
+    method: Weighted,
     uncertain: bool,
     progress: Progress,
 ) -> tuple[Synthesis, Weights]:
@@ -296,7 +300,9 @@ def _as_strong(
             "False without a [controller] table",
             "add the reference controller",
         )
-    tuned = tune_control_weight(model, weights, reference, minimise, uncertain=uncertain)
+    tuned = tune_control_weight(
+        model, weights, reference, method.minimise, uncertain=uncertain, begin=method.begin
+    )
     progress(
         f"control weight times {tuned.factor:.3g}: direct gains {100 * tuned.mismatch:+.1f} % "
         "of the reference's"
@@ -348,19 +354,23 @@ class Mu(Spanning):
         return plant.machine.weights is not None and bool(plant.machine.tolerances)
 
     def minimise(self, problem: GeneralizedPlant) -> Synthesis:
+        return self.begin(problem)[1]()
+
+    def begin(self, problem: GeneralizedPlant) -> Begun:
         return mu_controller(problem)
 
 
-def mu_controller(problem: GeneralizedPlant) -> Synthesis:
+def mu_controller(problem: GeneralizedPlant) -> Begun:
     """The controller of a design problem by D-K iteration; of one that was solved before in this
     run, the same again: a polished controller begins as the mu controller beside it.
     """
     from ambrose.core.processes import recalled
-    from ambrose.synthesis.mu import mu_synthesis
+    from ambrose.synthesis.mu import mu_iterates
 
     matrices = tuple(getattr(problem.system, letter).tobytes() for letter in "ABCD")
     key = (matrices, problem.w, problem.u, problem.z, problem.y, problem.blocks)
-    return recalled("mu", key, lambda: mu_synthesis(problem, order=SCALING_ORDER))
+    found = recalled("mu", key, lambda: mu_iterates(problem, SCALING_ORDER))
+    return found.controller, lambda: recalled("certified mu", key, found.finish)
 
 
 # Method "pid": the machine's own reference controller.
@@ -415,6 +425,9 @@ class Polish(Weighted):
         return Mu.suits(plant)
 
     def minimise(self, problem: GeneralizedPlant) -> Synthesis:
+        return self.begin(problem)[1]()
+
+    def begin(self, problem: GeneralizedPlant) -> Begun:
         return mu_controller(problem)
 
     def refine(

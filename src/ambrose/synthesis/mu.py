@@ -11,7 +11,7 @@ are real, is reported at every step beside it. (Doyle 1985; Packard & Doyle 1993
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -33,7 +33,13 @@ from ambrose.core.mu.bounds import mu_bounds
 from ambrose.core.norms import hinf_norm
 from ambrose.core.processes import TimeLimit
 from ambrose.core.statespace import StateSpace, poles, spectral_abscissa
-from ambrose.judge.result import Certificate, Status, Synthesis, generalized_certificate
+from ambrose.judge.result import (
+    CERTIFYING,
+    Certificate,
+    Status,
+    Synthesis,
+    generalized_certificate,
+)
 from ambrose.law.design_problem import with_performance_block
 from ambrose.synthesis.hinf import hinf_synthesis
 from ambrose.synthesis.mu_scalings import (
@@ -60,6 +66,8 @@ _TIGHTEST = 1.5e-3  # back-off less 1, below which it is not made smaller
 _RUN_AWAY = (
     2.0  # times the fastest pole of the controller before: the seal rig's still runs at 10 kHz
 )
+_ITERATIONS, _BACKOFF = 4, 1.03  # unless stated
+_FIT, _TIME = 0.02, 120.0
 _PROOF = (1.01, 1.03, 1.1)  # levels, in mixed peaks, at which an interval proof is tried
 
 
@@ -67,13 +75,13 @@ _PROOF = (1.01, 1.03, 1.1)  # levels, in mixed peaks, at which an interval proof
 def mu_synthesis(
     plant: GeneralizedPlant,
     *,
-    iterations: int = 4,
+    iterations: int = _ITERATIONS,
     order: int | Literal["auto"] = "auto",
     structure: Literal["scalar", "full"] = "scalar",
-    backoff: float = 1.03,
-    fit_tolerance: float = 0.02,
+    backoff: float = _BACKOFF,
+    fit_tolerance: float = _FIT,
     omega: ArrayLike | None = None,
-    time_limit: float = 120.0,
+    time_limit: float = _TIME,
     progress: Callable[[str], None] | None = None,
 ) -> Synthesis:
     """D-K iteration on a plant with blocks; the best iterate, verified on ``plant`` itself.
@@ -102,6 +110,28 @@ def mu_synthesis(
     NumericalFailure when not even the first controller could be verified. The controller keeps all
     its states: those of plant and scalings.
     """
+    given = iterations, order, structure, backoff, fit_tolerance, omega, time_limit, progress
+    return _iterated(plant, *given).finish()
+
+
+def mu_iterates(plant: GeneralizedPlant, order: int | Literal["auto"]) -> MuIterates:
+    """``mu_synthesis``, but for the certificate and mixed mu: for a controller that is compared
+    with others first.
+    """
+    return _iterated(plant, _ITERATIONS, order, "scalar", _BACKOFF, _FIT, None, _TIME, None)
+
+
+def _iterated(
+    plant: GeneralizedPlant,
+    iterations: int,
+    order: int | Literal["auto"],
+    structure: Literal["scalar", "full"],
+    backoff: float,
+    fit_tolerance: float,
+    omega: ArrayLike | None,
+    time_limit: float,
+    progress: Callable[[str], None] | None,
+) -> MuIterates:
     if not isinstance(iterations, int | np.integer) or iterations < 0:
         raise invalid(
             "iterations", iterations, "a whole number, at least 0", "4 suits most problems"
@@ -144,7 +174,9 @@ def mu_synthesis(
         reason = "interrupted" if isinstance(stop, KeyboardInterrupt) else late
         if not iterates:
             raise
-    return _result(job, iterates, reason)
+        if isinstance(stop, KeyboardInterrupt):
+            job.say(CERTIFYING)
+    return MuIterates(job, tuple(iterates), reason, job.clock.left)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -222,15 +254,21 @@ def _start(job: _Job) -> StateSpace:
     """H-infinity for the nominal plant; where that fails, for the whole one without scaling."""
     if isinstance(job.plant.blocks[-1], FullBlock):
         try:
-            return hinf_synthesis(
-                _performance_only(job.plant), backoff=job.backoff, time_limit=job.left
-            ).controller
+            return _k_step(job, _performance_only(job.plant), job.backoff).controller
         except NumericalFailure as failure:
             job.say(
                 f"no start from the nominal plant ({failure}); starting from the whole plant "
                 "without scaling"
             )
-    return hinf_synthesis(job.plant, backoff=job.backoff, time_limit=job.left).controller
+    return _k_step(job, job.plant, job.backoff).controller
+
+
+def _k_step(
+    job: _Job, plant: GeneralizedPlant, backoff: float, tolerance: float = 1e-3
+) -> Synthesis:
+    return hinf_synthesis(
+        plant, backoff=backoff, tolerance=tolerance, lower=False, time_limit=job.left
+    )
 
 
 def _performance_only(plant: GeneralizedPlant) -> GeneralizedPlant:
@@ -251,9 +289,7 @@ def _step(job: _Job, iterates: Sequence[_Iterate], lowest: int) -> _Iterate:
             fit_scaling(last.step, job.order, job.fit_tolerance, lowest) if lowest else last.fitted
         )
         used = _further(job, last, fitted)
-    made = hinf_synthesis(
-        scaled_plant(job.plant, used.scaling), backoff=job.backoff, time_limit=job.left
-    )
+    made = _k_step(job, scaled_plant(job.plant, used.scaling), job.backoff)
     for note in made.notes:
         job.say(f"K-step: {note}")
     return _evaluate(job, made.controller, used, len(iterates))
@@ -263,9 +299,7 @@ def _gamma(job: _Job, scaling: Scaling, tolerance: float = 1e-2) -> float:
     """The smallest gamma of a K-step; inf where there is none."""
     job.check_time()
     try:
-        made = hinf_synthesis(
-            scaled_plant(job.plant, scaling), backoff=1.1, tolerance=tolerance, time_limit=job.left
-        )
+        made = _k_step(job, scaled_plant(job.plant, scaling), 1.1, tolerance)
     except NumericalFailure:
         return float("inf")
     return made.certificate.margins["gamma_optimal"]
@@ -333,12 +367,7 @@ def _first_scaling(job: _Job, start: _Iterate) -> FittedScaling:
     def ahead(k: int) -> float:
         job.check_time()
         try:
-            made = hinf_synthesis(
-                scaled_plant(job.plant, at(k).scaling),
-                backoff=1.05,
-                tolerance=1e-2,
-                time_limit=job.left,
-            )
+            made = _k_step(job, scaled_plant(job.plant, at(k).scaling), 1.05, 1e-2)
         except NumericalFailure:
             return float("inf")
         step = d_step(lft(job.plant, made.controller), job.blocks, job.grid[::2], rounds=0)
@@ -369,18 +398,14 @@ def _evaluate(
     row = {
         "iteration": float(number),
         "gamma": gamma,
-        **_mu(job, step),
         "order": float(controller.n_states),
         "d_order": float(max(used.scaling.orders)) if used is not None else 0.0,
         "scaling_states": float(used.scaling.states) if used is not None else 0.0,
         "seconds": job.clock.elapsed,
     }
     job.say(
-        f"iteration {number}: complex mu <= {gamma:.4f} (on the grid {row['mu_complex']:.4f}), "
-        "mixed mu "
-        f"{row['mu_mixed_lower']:.4f} to {row['mu_mixed']:.4f} at {row['mu_frequency']:.4g} "
-        "rad/s, order "
-        f"{controller.n_states}, D of order {int(row['d_order'])}, {row['seconds']:.1f} s"
+        f"iteration {number}: complex mu <= {gamma:.4f}, order {controller.n_states}, D of order "
+        f"{int(row['d_order'])}, {row['seconds']:.1f} s"
     )
     return _Iterate(controller, gamma, used, fitted, step, abscissa, row)
 
@@ -424,11 +449,11 @@ def _tightened(job: _Job, iterates: list[_Iterate]) -> None:
             if scaling is None:
                 continue
             try:
-                made = hinf_synthesis(
+                made = _k_step(
+                    job,
                     scaled_plant(job.plant, scaling.scaling),
-                    backoff=backoff,
-                    tolerance=min(1e-3, (backoff - 1) / 3),
-                    time_limit=job.left,
+                    backoff,
+                    min(1e-3, (backoff - 1) / 3),
                 )
                 found = _evaluate(job, made.controller, scaling, len(iterates))
             except AmbroseError as failure:
@@ -463,6 +488,34 @@ def _best(job: _Job, iterates: Sequence[_Iterate]) -> _Iterate:
             key=lambda item: item.gamma,
         )
     return best
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MuIterates:
+    """A D-K iteration that has come to its end; left [s]: of its time limit."""
+
+    job: _Job
+    iterates: tuple[_Iterate, ...]
+    reason: str
+    left: float
+
+    @property
+    def controller(self) -> StateSpace:
+        """Of the best iterate."""
+        return _best(self.job, self.iterates).controller
+
+    def finish(self) -> Synthesis:
+        """The best iterate with its certificate, and mixed mu of them all."""
+        job = self.job
+        if self.left > 0:  # what was computed since is not this iteration's
+            job = replace(job, clock=TimeLimit(self.left))
+        rows = [
+            {"iteration": item.row["iteration"], "gamma": item.gamma, **_mu(job, item.step)}
+            | item.row
+            for item in self.iterates
+        ]
+        pairs = zip(self.iterates, rows, strict=True)
+        return _result(job, [replace(item, row=row) for item, row in pairs], self.reason)
 
 
 def _result(job: _Job, iterates: Sequence[_Iterate], reason: str) -> Synthesis:

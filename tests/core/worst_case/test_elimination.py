@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ambrose.core import worst_case_loop as box_elimination
-from ambrose.core.lft import upper_lft_responses
+from ambrose.core.lft import Ports, upper_lft_responses
 from ambrose.core.worst_case_loop import determinants_at
 
 
@@ -64,6 +64,27 @@ def test_corners_scattered_points_and_both(repeats):
         n = len(owner)
         np.testing.assert_allclose(determinants_at(M[:, :n, :n], owner, delta), h, rtol=1e-10)
         np.testing.assert_allclose(transfers_at(M, owner, delta), T, rtol=1e-9, atol=1e-11)
+
+
+@pytest.mark.parametrize("channels", [1, 2])
+@pytest.mark.parametrize("distance", [0.0, 1e-13, 1e-6, 0.5])
+def test_points_that_act_at_two_places(channels, distance):
+    """Also next to a singular point, where the sum over minors would lose its digits."""
+    rng = np.random.default_rng(channels)
+    into, out_of = rng.standard_normal((channels, 6)), rng.standard_normal((6, 4))
+    into[:, :channels], out_of[:4] = np.eye(channels), np.eye(4)
+    few = Ports(np.arange(channels), into, np.arange(4), out_of)
+    N = rng.standard_normal((5, 4, channels)) + 1j * rng.standard_normal((5, 4, channels))
+    corners = np.array(list(product((-1.0, 1.0), repeat=6)))
+    N[2] /= np.linalg.eigvals(few.gain(corners[7]) @ N[2])[0] / (1 - distance)
+    M11 = out_of @ N @ into
+    h = np.linalg.det(np.eye(6) - M11 * corners[:, None, None])
+    assert np.abs(h[7, 2]) < 10 * distance + 1e-9
+    found = determinants_at(M11, np.arange(6), corners, few)
+    np.testing.assert_allclose(found, h, rtol=1e-9, atol=1e-13)
+    every = np.sort_complex(few.eigenvalues(M11, corners[:, None]))
+    expected = np.linalg.eigvals(few.gain(corners)[:, None] @ N)
+    np.testing.assert_allclose(every, np.sort_complex(expected), rtol=1e-9, atol=1e-12)
 
 
 def test_corners_do_share(monkeypatch):

@@ -80,5 +80,6 @@ def test_the_response_is_level_at_infinity():
     infinity.
     """
     loop = worst_case_truth.loop_of(2)
-    slope = loop.model.slope(np.array([1.0, np.inf]))
-    assert np.abs(slope[0]).max() > 0 and not slope[1].any()
+    (_, slope), (values, level) = (loop.model.with_slope(omega) for omega in (1.0, np.inf))
+    assert np.abs(slope).max() > 0 and not level.any()
+    np.testing.assert_array_equal(values, loop.model.D)

@@ -96,12 +96,12 @@ class Chords:
             values[k] += next(self._sums(omega[k], 1))
         return values
 
-    def slope(self, omega: np.ndarray) -> np.ndarray:
-        """dM/d omega (w, n_z, n_w) at omega (w,) [rad/s]; zero at infinity."""
-        finite = np.isfinite(omega)
-        return np.where(
-            finite[:, None, None], -1j * next(self._sums(np.where(finite, omega, 0.0), 2)), 0.0
-        )
+    def with_slope(self, omega: float) -> tuple[np.ndarray, np.ndarray]:
+        """M and dM/d omega (n_z, n_w) at omega [rad/s]; infinity gives D and zero."""
+        if np.isinf(omega):
+            return self.D + 0j, np.zeros_like(self.D)
+        values, slopes = self._sums(np.array([omega]), 1, 2)
+        return self.D + values[0], -1j * slopes[0]
 
     def _sums(self, omega: np.ndarray, first: int, count: int = 1) -> Iterator[np.ndarray]:
         """The sums of R_k / (j omega - p_k)^power, (w, n_z, n_w) each, for ``count`` powers from
@@ -199,9 +199,10 @@ class ChordsBetween:
         """left M right (w, p, m) at omega (w,) [rad/s]; infinity gives that of D."""
         return np.asarray(self.left @ self.model.at(omega) @ self.right)
 
-    def slope(self, omega: np.ndarray) -> np.ndarray:
-        """d/d omega of the same."""
-        return np.asarray(self.left @ self.model.slope(omega) @ self.right)
+    def with_slope(self, omega: float) -> tuple[np.ndarray, np.ndarray]:
+        """The same and d/d omega of it (p, m) at omega [rad/s]."""
+        values, slopes = self.model.with_slope(omega)
+        return self.left @ values @ self.right, self.left @ slopes @ self.right
 
     def distance(self, low: np.ndarray, high: np.ndarray, cells: int) -> np.ndarray:
         """As of M: |left (M - chord) right| <= |left| |M - chord| |right|, entry by entry."""

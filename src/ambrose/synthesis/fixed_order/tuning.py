@@ -18,10 +18,18 @@ from itertools import product
 import numpy as np
 
 from ambrose.core.checks import NumericalFailure, named_failure
-from ambrose.core.frequency import frequency_response, largest_gain
+from ambrose.core.frequency import frequency_response, largest_gain, largest_gains
+from ambrose.core.lft import ports, upper_lft_responses
 from ambrose.core.statespace import StateSpace, select
 from ambrose.judge.campbell import held_to, modes, pole_checks
-from ambrose.judge.result import Certificate, Status, Synthesis, certify, fastest_pole
+from ambrose.judge.result import (
+    CERTIFYING,
+    Certificate,
+    Status,
+    Synthesis,
+    certify,
+    fastest_pole,
+)
 from ambrose.judge.verdict import search
 from ambrose.law.loop import Timing, closed_loop
 from ambrose.machine.part import PidSettings
@@ -100,33 +108,26 @@ def worst_member(
     # z = (P_zw - P_zu K S P_yw) w - P_zu K S d,   y + d = S P_yw w + S d
     S = np.linalg.inv(np.eye(K.shape[-1]) + P[:, n:, n:] @ K)
     KS = K @ S
-    M = P[:, :n, :n] - P[:, :n, n:] @ KS @ P[:, n:, :n]
-    into, out = -P[:, :n, n:] @ KS, S @ P[:, n:, :n]
     owner = np.repeat(np.arange(len(names)), [block.n_w for block in model.blocks])
     limit = aims.sensitivity_limit(omega)
     ratio = largest_gain(S) / limit
 
-    # Only frequencies where the loop without deviations is high.
-    near = ratio >= 0.5 * ratio.max()
-    M = M[near]
-    into = into[near]
-    out = out[near]
-    S = S[near]
-    limit = limit[near]
+    # Only frequencies where the loop without deviations is high, and the channels that the others
+    # are made of. w = delta z:   y + d = (S + out delta (I - M delta)^-1 into) d, over the limit
+    near, few = ratio >= 0.5 * ratio.max(), ports(part, n)
+    into, out = P[near][:, few.outputs, n:], P[near][:, n:, few.inputs]
+    M = P[near][:, few.outputs[:, None], few.inputs] - into @ KS[near] @ out
+    S, scale = S[near], limit[near, None, None]
+    closed = np.block([[M, -into @ KS[near]], [S @ out / scale, S / scale]]).transpose(1, 2, 0)
 
     def climbed(tried: np.ndarray, best: float, worst: np.ndarray) -> tuple[float, np.ndarray]:
-        """The largest ratio of these points and of the best before, and where."""
-        for delta in tried:
-            # w = delta z:   y + d = (S + out delta (I - M delta)^-1 into) d
-            spread = delta[owner]
-            closed = S + out @ (spread[:, None] * np.linalg.solve(np.eye(n) - M * spread, into))
-            # the norm is no smaller than the gain
-            larger = np.linalg.norm(closed, axis=(1, 2)) > best * limit
-            if larger.any():
-                gain = float((largest_gain(closed[larger]) / limit[larger]).max())
-                if gain > best:
-                    best, worst = gain, delta
-        return best, worst
+        """The largest ratio of these points and of the best before, and where; of points alike the
+        first.
+        """
+        T = upper_lft_responses(closed, few.gain(tried[:, owner])).transpose(0, 3, 1, 2)
+        found = largest_gains(T.reshape(-1, *T.shape[2:])).reshape(len(tried), -1).max(axis=1)
+        k = int(np.argmax(found >= found.max() * (1 - _ALIKE)))
+        return (float(found[k]), tried[k]) if found[k] > best * (1 + _ALIKE) else (best, worst)
 
     tried = _corners(len(names))
     best, worst = climbed(tried, -np.inf, tried[0])
@@ -318,6 +319,8 @@ def _better(
         try:
             if aims is not job.aims:
                 tame = tuned(again, law, structure)
+                if tame.stopped_early == INTERRUPTED:
+                    return replace(found, stopped_early=INTERRUPTED)
                 law = tame.controller if tame.filters is None else tame.filters
             other = tuned(replace(again, aims=job.aims, before=[]), law, structure)
         except NumericalFailure as error:
@@ -325,6 +328,8 @@ def _better(
             continue
         if other.gamma < found.gamma:
             found = other
+        if other.stopped_early == INTERRUPTED:
+            return replace(found, stopped_early=INTERRUPTED)
         if found.gamma <= 1 or job.clock.left <= 0:
             break
     return found
@@ -363,6 +368,7 @@ def tuned(
         if not rounds:
             raise
         reason = INTERRUPTED
+        job.say(CERTIFYING)
     except (
         NumericalFailure
     ) as error:  # of a member that nothing was found to hold: what the rounds gave is kept

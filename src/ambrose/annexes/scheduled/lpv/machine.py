@@ -19,7 +19,7 @@ from ambrose.core.lft import GeneralizedPlant, design_grid, lft
 from ambrose.core.scheduled import ScheduledSystem, check_axes, corners as around, grid_points
 from ambrose.core.statespace import StateSpace, is_stable, select
 from ambrose.core.worst_case_loop import box_loop, corners, default_grid, gains
-from ambrose.judge.result import Synthesis, certify_on_full_plant
+from ambrose.judge.result import CERTIFYING, Synthesis, certify_on_full_plant
 from ambrose.law.design_problem import (
     Weights,
     apply_delay,
@@ -123,6 +123,7 @@ def tolerant_lpv(
     except KeyboardInterrupt:
         if best is None:
             raise
+        say(CERTIFYING)
         best = (replace(best[0], stopped_early="interrupted"), *best[1:])
     if best is None:
         raise NumericalFailure(f"no scheduled controller for these tolerances was found: {reason}")
