@@ -802,13 +802,6 @@ def critical_speeds(machine: Machine, count: int = 4) -> list[float]:
     return [float(speed) for speed in np.sqrt(np.sort(values[real & forward].real))[:count]]
 
 
-def _plane(shapes: np.ndarray) -> np.ndarray:
-    """Mode shapes of the x plane, [w, theta] per node."""
-    plane = np.empty((len(shapes) // 2, shapes.shape[1] // 2))
-    plane[0::2], plane[1::2] = shapes[0::4, 0::2], shapes[3::4, 0::2]
-    return plane
-
-
 def capacities(machine: Machine, properties: MassProperties) -> list[Capacity]:
     weight = static_sag(machine)[1]
     loads = np.linalg.norm(weight, axis=1)

@@ -369,7 +369,7 @@ def mu_controller(problem: GeneralizedPlant) -> Begun:
 
     matrices = tuple(getattr(problem.system, letter).tobytes() for letter in "ABCD")
     key = (matrices, problem.w, problem.u, problem.z, problem.y, problem.blocks)
-    found = recalled("mu", key, lambda: mu_iterates(problem, SCALING_ORDER))
+    found = recalled("mu", key, lambda: mu_iterates(problem, order=SCALING_ORDER))
     return found.controller, lambda: recalled("certified mu", key, found.finish)
 
 

@@ -66,8 +66,6 @@ _TIGHTEST = 1.5e-3  # back-off less 1, below which it is not made smaller
 _RUN_AWAY = (
     2.0  # times the fastest pole of the controller before: the seal rig's still runs at 10 kHz
 )
-_ITERATIONS, _BACKOFF = 4, 1.03  # unless stated
-_FIT, _TIME = 0.02, 120.0
 _PROOF = (1.01, 1.03, 1.1)  # levels, in mixed peaks, at which an interval proof is tried
 
 
@@ -75,13 +73,13 @@ _PROOF = (1.01, 1.03, 1.1)  # levels, in mixed peaks, at which an interval proof
 def mu_synthesis(
     plant: GeneralizedPlant,
     *,
-    iterations: int = _ITERATIONS,
+    iterations: int = 4,
     order: int | Literal["auto"] = "auto",
     structure: Literal["scalar", "full"] = "scalar",
-    backoff: float = _BACKOFF,
-    fit_tolerance: float = _FIT,
+    backoff: float = 1.03,
+    fit_tolerance: float = 0.02,
     omega: ArrayLike | None = None,
-    time_limit: float = _TIME,
+    time_limit: float = 120.0,
     progress: Callable[[str], None] | None = None,
 ) -> Synthesis:
     """D-K iteration on a plant with blocks; the best iterate, verified on ``plant`` itself.
@@ -110,28 +108,35 @@ def mu_synthesis(
     NumericalFailure when not even the first controller could be verified. The controller keeps all
     its states: those of plant and scalings.
     """
-    given = iterations, order, structure, backoff, fit_tolerance, omega, time_limit, progress
-    return _iterated(plant, *given).finish()
+    return mu_iterates(
+        plant,
+        iterations=iterations,
+        order=order,
+        structure=structure,
+        backoff=backoff,
+        fit_tolerance=fit_tolerance,
+        omega=omega,
+        time_limit=time_limit,
+        progress=progress,
+    ).finish()
 
 
-def mu_iterates(plant: GeneralizedPlant, order: int | Literal["auto"]) -> MuIterates:
-    """``mu_synthesis``, but for the certificate and mixed mu: for a controller that is compared
-    with others first.
-    """
-    return _iterated(plant, _ITERATIONS, order, "scalar", _BACKOFF, _FIT, None, _TIME, None)
-
-
-def _iterated(
+@named_failure("the mu controller")
+def mu_iterates(
     plant: GeneralizedPlant,
-    iterations: int,
-    order: int | Literal["auto"],
-    structure: Literal["scalar", "full"],
-    backoff: float,
-    fit_tolerance: float,
-    omega: ArrayLike | None,
-    time_limit: float,
-    progress: Callable[[str], None] | None,
+    *,
+    iterations: int = 4,
+    order: int | Literal["auto"] = "auto",
+    structure: Literal["scalar", "full"] = "scalar",
+    backoff: float = 1.03,
+    fit_tolerance: float = 0.02,
+    omega: ArrayLike | None = None,
+    time_limit: float = 120.0,
+    progress: Callable[[str], None] | None = None,
 ) -> MuIterates:
+    """``mu_synthesis`` but for the certificate and mixed mu: of a controller that is compared with
+    others first. Arguments and errors are the same.
+    """
     if not isinstance(iterations, int | np.integer) or iterations < 0:
         raise invalid(
             "iterations", iterations, "a whole number, at least 0", "4 suits most problems"
