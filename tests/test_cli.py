@@ -109,6 +109,31 @@ def test_robust_methods_are_certified_on_the_full_plant(method, tmp_path):
     assert json.loads((tmp_path / "c.json").read_text())["method"] == method
 
 
+@pytest.mark.parametrize(
+    ("words", "informed"),
+    [
+        ((), False),
+        (("--details",), False),
+        (("--all",), True),
+        (("--json",), True),
+        (("--report", "page.html"), True),
+    ],
+)
+def test_verify_computes_what_has_no_limit_where_it_is_shown(
+    words, informed, controller, tmp_path, monkeypatch
+):
+    asked = []
+
+    def around(*given, **options):
+        asked.append(options["informed"])
+        return ()
+
+    monkeypatch.setattr("ambrose.judge.verdict.verify_tolerances", around)
+    monkeypatch.chdir(tmp_path)
+    call("verify", RIG, "--controller", controller, *words)
+    assert asked == [informed]
+
+
 def test_verify_fails_a_check_with_status_1(controller):
     done = call("verify", RIG, "--controller", controller, "--json")
     assert done.exit_code == 1

@@ -783,3 +783,32 @@ def test_details_prints_everything(monkeypatch):
     assert json.loads(call("scenarios", "--json")[1]) == json.loads(
         call("scenarios", "--json", "--details")[1]
     )
+
+
+@POSIX
+@pytest.mark.parametrize("flags", ["fpu avx2 avx512f avx512dq", "fpu sse4_2 avx2"])
+def test_small_products_take_the_same_kernels_on_every_processor(flags, tmp_path):
+    processors = tmp_path / "cpuinfo"
+    processors.write_text(f"processor\t: 0\nflags\t\t: {flags}\n", encoding="utf-8")
+    code = f"""
+import os, sys
+import ambrose.__main__ as start
+import ambrose.cli
+start._PROCESSORS = {str(processors)!r}
+ambrose.cli.main = lambda **given: print(os.environ.get("OPENBLAS_CORETYPE"), "numpy" in sys.modules)
+start.main()
+"""
+    free = {k: v for k, v in os.environ.items() if k != "OPENBLAS_CORETYPE"}
+    for own, expected in (
+        ({}, "Haswell" if "avx512f" in flags else "None"),
+        ({"OPENBLAS_CORETYPE": "Zen"}, "Zen"),
+    ):
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            capture_output=True,
+            text=True,
+            check=True,
+            env={**free, **own},
+            timeout=60,
+        )
+        assert done.stdout.split() == [expected, "False"]
