@@ -29,7 +29,7 @@ from ambrose.law.pid import axes_mixings, channel_chains, first_settings, mixing
 from ambrose.machine.attachment import attached
 from ambrose.machine.criteria import demand
 from ambrose.machine.description import MagneticBearing, OperatingPoint
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.part import Seal
 from ambrose.machine.thrust import ThrustBearing
 from ambrose.machine.units import listed
@@ -160,7 +160,7 @@ _FLUX = 1.5
 _SPARE = 1.5
 
 
-def axial_facts(machine: AxialMachine) -> dict[str, Any]:
+def axial_facts(machine: Machine) -> dict[str, Any]:
     """What `ambrose check file#axial` tells, SI units: mass, coefficients, core, unstable pole,
     capacity against load, doubts.
 
@@ -223,14 +223,14 @@ def along_doubts(machine: Machine) -> list[str]:
     if not any(isinstance(part, ThrustBearing) for part in machine.effects):
         return []
     try:
-        axial: Any = machine.axial
+        axial = machine.axial
         lines = [*_doubts(axial, stiffness_margin(axial))]
     except InvalidInput as error:
         lines = [str(error)]
     return [f"along the shaft: {line}" for line in lines]
 
 
-def _doubts(machine: AxialMachine, margin: float | None) -> Iterator[str]:
+def _doubts(machine: Machine, margin: float | None) -> Iterator[str]:
     """Gaps, flux, rim speed, capacity and static stiffness (``margin``, K_p k_i/k_s; None without a
     reference controller) that a machine along its shaft hardly has, a sentence each.
     """
@@ -1322,7 +1322,7 @@ _TOLD = ("doubts", "remarks")  # of the thrust axis, among those of the machine
 
 def _reasons(machine: Machine, failure: str) -> list[str]:
     """The failure, or all that are like it, and what may be its cause."""
-    if isinstance(machine, AxialMachine):
+    if not machine.lateral:
         return [failure]
     found = [*without_coefficients(machine)]
     found = found if failure in found else [failure, *found]
@@ -1331,7 +1331,7 @@ def _reasons(machine: Machine, failure: str) -> list[str]:
 
 @named_failure("the model of the machine")
 def _facts(machine: Machine) -> dict[str, Any]:
-    if isinstance(machine, AxialMachine):
+    if not machine.lateral:
         return axial_facts(machine)
     rotor = finite_element_rotor(machine)
     properties = mass_properties(rotor)

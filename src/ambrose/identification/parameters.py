@@ -13,7 +13,7 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.machine.attachment import attachment_of, by_table
 from ambrose.machine.description import BiasPoint, MagneticBearing, OperatingPoint, Pair, Tolerance
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import (
     BENDING,
     CONTROLLER_DELAY,
@@ -64,21 +64,6 @@ def unit_of(path: str) -> str:
 def half_width(tolerance: Tolerance, value: float) -> float:
     """Of a tolerance about a parameter's value, SI."""
     return (tolerance.absolute or 0.0) + (tolerance.relative or 0.0) * abs(value)
-
-
-QUANTITIES_OF_MAGNETS = ("force_per_current", "negative_stiffness")
-
-
-def magnet_paths(machine: Machine) -> list[str]:
-    """The paths of every magnet's force per current, then of every negative stiffness."""
-    if isinstance(machine, AxialMachine):
-        return [f"thrust_bearing.{machine.thrust.name}.{q}" for q in QUANTITIES_OF_MAGNETS]
-    return [
-        f"bearing.{item.name}.{quantity}.{axis}"
-        for quantity in QUANTITIES_OF_MAGNETS
-        for item in machine.bearings
-        for axis in ("zeta", "eta")
-    ]
 
 
 def part_names(machine: Machine) -> dict[str, list[str]]:
@@ -336,7 +321,7 @@ def update_machine(
             "take the machine it belongs to",
         )
     entries = _entries(machine, result)
-    if isinstance(machine, AxialMachine):
+    if not machine.lateral:
         return _axial(machine, result, entries, origin)
     values = [(one.parameter, one.value) for one in entries]
     tolerances = [one.tolerance for one in entries]
@@ -394,9 +379,7 @@ def update_machine(
     )
 
 
-def _axial(
-    machine: AxialMachine, result: Estimate, entries: Sequence[_Entry], origin: str
-) -> Machine:
+def _axial(machine: Machine, result: Estimate, entries: Sequence[_Entry], origin: str) -> Machine:
     """The axis along the shaft with the values found: scales of its magnets' faces and gaps, its
     amplifier's bandwidth, its controller's delay, its tolerances.
     """

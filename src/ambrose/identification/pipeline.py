@@ -39,7 +39,7 @@ from ambrose.identification.seal.pipeline import identify_seal
 from ambrose.identification.validation.places import at_place
 from ambrose.identification.validation.repeatability import of_estimates
 from ambrose.law.law import LawLike, law_of
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import TIMING
 from ambrose.options import choose, either
 from ambrose.record.files import read_record
@@ -112,8 +112,7 @@ def identify(
     elif isinstance(chosen, LoopMethod):
         measured = tuple(settled(machine, record) for record in whole)
         provenance = replace(provenance, part=left_out(whole, measured))
-    if isinstance(machine, AxialMachine):
-        machine = at_place(machine, measured)
+    machine = at_place(machine, measured)
     if repeats and len(measured) < 2:
         raise invalid(
             "the number of records",

@@ -28,13 +28,13 @@ class Station:
     """Where an effect acts: ports <name>_<axis> at a position [m] along the rotor.
 
     angle: of the first axis from the global x [rad]; the second one is a quarter turn ahead. axes:
-    their names.
+    their names; one along the shaft.
     """
 
     name: str
     position: float
     angle: float = 0.0
-    axes: tuple[str, str] = UPRIGHT
+    axes: tuple[str, ...] = UPRIGHT
 
 
 def where_it_stands(part: Any) -> tuple[Station, ...]:

@@ -219,13 +219,6 @@ def run(
     )
 
 
-def check_scenario(machine: Machine, scenario: Scenario, dt: float) -> None:
-    """Raises InvalidInput for what a run of a scenario on the axis would refuse."""
-    rig: Any = build(machine, machine.operation.nominal, dt)
-    task = plan(rig, scenario, dt, 0)
-    waveforms(scenario, task.inputs, dt, 1, rig.mass)
-
-
 def build(
     machine: Machine, point: OperatingPoint, sample: float, longest: float | None = None
 ) -> AxialRig:

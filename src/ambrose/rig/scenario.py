@@ -29,7 +29,7 @@ from ambrose.core.checks import (
 from ambrose.core.presentation import Presented
 from ambrose.machine.description import BEARING_TERMS
 from ambrose.machine.file.toml import read_toml
-from ambrose.machine.machine import AXIS, AxialMachine, Machine
+from ambrose.machine.machine import AXIS, Machine
 from ambrose.machine.units import DIMENSIONS, Dimension, read_quantity, suggestion
 from ambrose.model.plant import top_speed
 from ambrose.record.record import signal_dimension
@@ -566,14 +566,14 @@ class Scenario(Presented):
         """The same with the machine's bearings and numbers. Raises InvalidInput where it lacks one
         that is asked for.
         """
-        if self.names_thrust and not isinstance(machine, AxialMachine):
+        if self.names_thrust and machine.lateral:
             remedy = "give its axial controller, too (--axial), or take --axes thrust"
             if len(machine.groups) < 2:
                 remedy = f"{machine.name} has no [[thrust_bearing]]; take another scenario"
             raise InvalidInput(f"scenario {self.name} acts along the shaft; {remedy}")
         names = dict.fromkeys(bearing.name for bearing in machine.axis_bearings)
         found = self.at_bearings(list(names), machine)
-        if not isinstance(machine, AxialMachine):
+        if machine.lateral:
             return found
         (axis,) = machine.axes
         chosen = on_thrust if self.names_thrust else along_shaft
@@ -1006,7 +1006,7 @@ def _at(item: Any, bearings: Sequence[str]) -> Iterator[Any]:
 
 
 def along_shaft(items: Sequence[Any], axis: str) -> tuple[Any, ...]:
-    """The same on the one axis of ``AxialMachine``: what is along a bearing's first direction acts
+    """The same on the one axis along the shaft: what is along a bearing's first direction acts
     on it, what is along its second one on nothing.
     """
     name, found = axis.removesuffix(AXIS), []

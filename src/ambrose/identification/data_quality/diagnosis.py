@@ -38,7 +38,7 @@ from ambrose.identification.output_error.problem import (
     deployed_controller,
     operating_points,
 )
-from ambrose.identification.parameters import magnet_paths, nominal_values, plant_at, ratios
+from ambrose.identification.parameters import nominal_values, plant_at, ratios
 from ambrose.identification.validation.places import machine_at_load
 from ambrose.law.law import LawLike, law_of
 from ambrose.law.loop import closed_loop
@@ -587,7 +587,7 @@ def _telling(
     moved = np.zeros(len(measured.omega))
     command = expected.command(measured.values, measured.mix)
     for quantity in ("force_per_current", "negative_stiffness"):
-        paths = [path for path in magnet_paths(machine) if quantity in path]
+        paths = [path for path in machine.magnet_paths if quantity in path]
         begin = dict(zip(paths, (1.1 * nominal_values(plant, paths)).tolist(), strict=True))
         other = plant_at(machine, plant.point, begin)
         G = open_loop_responses(other, dt, measured.omega).G

@@ -54,7 +54,7 @@ from ambrose.identification.parameters import plant_at
 from ambrose.identification.validation.places import recorded_means
 from ambrose.law.law import LawLike
 from ambrose.law.loop import closed_loop
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
 from ambrose.machine.thrust import ThrustBearing
 from ambrose.model.axial import AtPoint, Side, closed_lags, core_lags, loaded, sides, with_found
@@ -316,7 +316,7 @@ def magnetic_force(
             driven = (plant, law, record, model.excitations, experiment.signals)
             waves.append(
                 thrust_responses(*driven, _thrust_coefficients(plant, values), turning)
-                if isinstance(machine, AxialMachine)
+                if not machine.lateral
                 else nonlinear_responses(*driven, turning, magnets_found(plant, values))
             )
             waves[-1] /= experiment.sizes[:, None].astype(np.float32)
@@ -357,7 +357,7 @@ def _loads(machine: Machine, plant: Plant, records: Sequence[Record]) -> np.ndar
     """Loads (a,) in amplitudes as known beforehand: recorded mean currents, else those that carry
     the file's weight; none along the shaft, whose point has its thrust.
     """
-    if isinstance(machine, AxialMachine):
+    if not machine.lateral:
         return np.zeros(0)
     recorded = recorded_means(records)
     by_file = (
