@@ -144,6 +144,12 @@ def check_path(path: Any, what: str) -> Path:
     return Path(path)
 
 
+def as_several(given: Any) -> tuple[Any, ...]:
+    """One or several, as a tuple: a text, a path, and whatever cannot be gone through is one."""
+    alone = isinstance(given, str | os.PathLike) or not isinstance(given, Iterable)
+    return (given,) if alone else tuple(given)
+
+
 def check_shape(x: ArrayLike, name: str, shape: str, **sizes: int) -> np.ndarray:
     """``x`` as a finite array, after checking its shape against a string such as ``"(n, m)"``.
 

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.checks import InvalidInput, as_several, invalid
 from ambrose.machine.attachment import attachment_of, by_table
 from ambrose.machine.description import BiasPoint, MagneticBearing, OperatingPoint, Pair, Tolerance
 from ambrose.machine.machine import Machine
@@ -24,7 +24,6 @@ from ambrose.machine.parameters import (
     parse_parameter,
 )
 from ambrose.machine.part import BendingMode, Seal, constant_under_pressure
-from ambrose.machine.thrust import ThrustBearing
 from ambrose.machine.units import DIMENSIONS
 from ambrose.model.assemble import assemble, bending_modes_of
 from ambrose.model.axial import at_point, with_found
@@ -85,8 +84,7 @@ def expand(machine: Machine, paths: Sequence[str]) -> tuple[str, ...]:
 
     Raises InvalidInput for a path that leads nowhere, and for two that name the same number.
     """
-    if isinstance(paths, str):
-        paths = [paths]
+    paths = as_several(paths)
     names = part_names(machine)
     expanded: list[str] = []
     for path in paths:
@@ -140,7 +138,7 @@ def split_timing(machine: Machine, paths: Sequence[str]) -> tuple[tuple[str, ...
     """The machine's parameters among ``paths``, with "*" spelled out, and those of timing:
     "controller.delay" (or "delay") and "excitation.delay". Raises InvalidInput as ``expand`` does.
     """
-    paths = [paths] if isinstance(paths, str) else paths
+    paths = as_several(paths)
     named = [CONTROLLER_DELAY if path == "delay" else path for path in paths]
     timing = [path for path in named if path in TIMING]
     for path in set(timing):
@@ -404,9 +402,7 @@ def _axial(machine: Machine, result: Estimate, entries: Sequence[_Entry], origin
     assert machine.whole is not None
     whole = replace(
         machine.whole,
-        effects=tuple(
-            part if isinstance(item, ThrustBearing) else item for item in machine.whole.effects
-        ),
+        effects=tuple(part if item == machine.thrust else item for item in machine.whole.effects),
         source="; ".join(text for text in (machine.whole.source, origin) if text),
     )
     return whole.axial

@@ -28,7 +28,7 @@ from ambrose.annexes.scheduled.seal_monitor import (
     findings_of,
     seal_model,
 )
-from ambrose.core.checks import InvalidInput, check_positive, invalid, names_wrong_types
+from ambrose.core.checks import InvalidInput, as_several, check_positive, invalid, names_wrong_types
 from ambrose.core.response import simulate
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.data_quality.controller import DOUBTS
@@ -322,8 +322,8 @@ def seal_monitor(
         rate, "rate", "say how fast the seal may change per second, such as 0.01", zero_allowed=True
     )
     watched = _watched(machine, seal)
-    names = (unknown,) if isinstance(unknown, str) else unknown
-    paths = [f"seal.{watched.name}.{quantity}" for quantity in names or _usual(watched)]
+    names = as_several(unknown) or _usual(watched)
+    paths = [f"seal.{watched.name}.{quantity}" for quantity in names]
     model = seal_model(
         machine,
         controller,

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.checks import InvalidInput, as_several, invalid
 from ambrose.core.frequency import frequency_response
 from ambrose.core.presentation import Presented
 from ambrose.core.sampling import c2d
@@ -381,7 +381,7 @@ def accept(
     multiples of the speed up to which unbalance and run-out are taken out. delay_samples: of the
     controller (None: as it or the machine file says). Raises InvalidInput.
     """
-    several = [records] if isinstance(records, Measured) else list(records)
+    several = as_several(records)
     if not several:
         raise InvalidInput(
             "no record was given; record y_<axis> with an excitation e_<axis> or r_<axis> on "
@@ -390,11 +390,7 @@ def accept(
     names = tuple(_named(item, number) for number, item in enumerate(several, 1))
     if responses := as_responses(several):
         return _accept_responses(machine, controller, responses, delay_samples, names)
-    read = [
-        item if isinstance(item, Record) else read_record(item)
-        for item in several
-        if not isinstance(item, Response)
-    ]
+    read = [read_record(item) for item in several]
     points: dict[OperatingPoint, list[Record]] = {}
     for number, record in enumerate(read, 1):
         _check(machine, record, number)

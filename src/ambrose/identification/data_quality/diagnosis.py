@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import AmbroseError, InvalidInput
+from ambrose.core.checks import AmbroseError, InvalidInput, as_several
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import StateSpace, select
@@ -34,7 +34,6 @@ from ambrose.identification.findings import ERROR, WARNING, Code, Finding, refus
 from ambrose.identification.frf import Step, phasors
 from ambrose.identification.output_error.normal_equations import distinct
 from ambrose.identification.output_error.problem import (
-    as_records,
     deployed_controller,
     operating_points,
 )
@@ -412,7 +411,7 @@ def diagnose_records(
     known, and then signals by themselves alone. Records that do not belong together or to the
     machine are left to ``identify``, which refuses them.
     """
-    records = as_records(records)
+    records = as_several(records)
     findings = [
         finding
         for n, record in enumerate(records, 1)
