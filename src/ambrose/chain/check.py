@@ -220,7 +220,7 @@ def along_doubts(machine: Machine) -> list[str]:
     """What is implausible along the shaft of a machine with a thrust bearing, for those who check
     the radial axes; nothing without one.
     """
-    if not any(isinstance(part, ThrustBearing) for part in machine.effects):
+    if not machine.parts(ThrustBearing):
         return []
     try:
         axial = machine.axial
@@ -366,9 +366,8 @@ def entry_doubts(machine: Machine) -> Iterator[str]:
         if seal.geometry is not None and (cold := celsius_for_kelvin(seal.geometry)):
             yield f"[[seal]] {seal.name}, [seal.geometry]: {cold}"
         yield from _drives_backward(machine, seal)
-    for _, part in attached(machine):
-        if isinstance(part, Stage):
-            yield from _stage(machine, part)
+    for stage in machine.parts(Stage):
+        yield from _stage(machine, stage)
 
 
 def _filter_corners(machine: Machine) -> Iterator[str]:
@@ -408,8 +407,8 @@ def _refusal(point: OperatingPoint, read: Callable[[], object]) -> Iterator[str]
 
 def load_doubts(machine: Machine, capacity: float) -> Iterator[str]:
     """Loads [N] far beyond what all bearings reach together, ``capacity`` [N]."""
-    for _, part in attached(machine):
-        if isinstance(part, Load) and part.force > _LOAD * capacity > 0:
+    for part in machine.parts(Load):
+        if part.force > _LOAD * capacity > 0:
             yield (
                 f"load {part.name}, {part.force:,.6g} N, is {part.force / capacity:,.3g} times "
                 f"what all bearings reach together, {capacity:,.4g} N; check its unit"
@@ -802,13 +801,6 @@ def critical_speeds(machine: Machine, count: int = 4) -> list[float]:
     return [float(speed) for speed in np.sqrt(np.sort(values[real & forward].real))[:count]]
 
 
-def _plane(shapes: np.ndarray) -> np.ndarray:
-    """Mode shapes of the x plane, [w, theta] per node."""
-    plane = np.empty((len(shapes) // 2, shapes.shape[1] // 2))
-    plane[0::2], plane[1::2] = shapes[0::4, 0::2], shapes[3::4, 0::2]
-    return plane
-
-
 def capacities(machine: Machine, properties: MassProperties) -> list[Capacity]:
     weight = static_sag(machine)[1]
     loads = np.linalg.norm(weight, axis=1)
@@ -955,7 +947,7 @@ def clearance_doubts(machine: Machine) -> Iterator[str]:
     radial one given for the diametral, or a diametral touchdown_gap for the radial.
     """
     landing = [bearing for bearing in machine.bearings if bearing.touchdown_gap]
-    parts = [part for _, part in attached(machine) if isinstance(part, Clearance)]
+    parts = machine.parts(Clearance)
     for bearing in landing:
         beside = [
             part

@@ -131,10 +131,9 @@ class Machine(MachineDescription):
     @property
     def thrust(self) -> ThrustBearing:
         """Its thrust bearing. Raises InvalidInput where it has none."""
-        found = next((part for part in self.effects if isinstance(part, ThrustBearing)), None)
-        if found is None:
-            raise InvalidInput(f"{self.name} has no [[thrust_bearing]]; add one")
-        return found
+        if found := self.parts(ThrustBearing):
+            return found[0]
+        raise InvalidInput(f"{self.name} has no [[thrust_bearing]]; add one")
 
     def condition(self, point: OperatingPoint) -> Condition:
         """Thrust and place at an operating point: by its label, else of the first one at its speed
@@ -454,7 +453,7 @@ def axial_machine(machine: Machine) -> AxialMachine:
     """The axis along the shaft of a machine with a [[thrust_bearing]] (``Machine.axial``). Raises
     InvalidInput.
     """
-    part = next(part for part in machine.effects if isinstance(part, ThrustBearing))
+    part = machine.thrust
     points, conditions = _points(machine, part)
     labels = {point.label for point in points}
     design = machine.operation.design_point

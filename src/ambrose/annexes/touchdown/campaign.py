@@ -29,7 +29,6 @@ from ambrose.annexes.touchdown.drop import (
     slip_of,
 )
 from ambrose.core.checks import NumericalFailure
-from ambrose.machine.attachment import attached
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.part import Touchdown, TouchdownLimits
@@ -250,11 +249,9 @@ def axial_drops(
     rotor's; duration [s]: looked at.
     """
     found = []
-    for _, part in attached(machine):
-        if not isinstance(part, ThrustBearing) or part.touchdown_gap is None:
-            continue
+    for part in machine.parts(ThrustBearing):
         thrust = sum(load.force for load in part.loads if load.point == point.label)
-        if thrust:
+        if thrust and part.touchdown_gap is not None:
             found.append(axial_drop(part, mass, thrust, duration))
     return tuple(found)
 
