@@ -474,8 +474,6 @@ def check_request(asked: Rejecting, method: str, machine: Machine) -> None:
     """What can be refused of a block that is asked for beside a design, before that. Raises
     InvalidInput.
     """
-    if asked.synchronous is None:
-        return
     if method == "lpv":
         raise invalid(
             "synchronous",
