@@ -674,7 +674,6 @@ def _foreign(path: Path) -> InvalidInput:
 def bases_of(plan: Plan, progress: Progress = lambda stage: None) -> Bases:
     """Machines, controllers and scenarios of a plan, read or designed once. Raises InvalidInput."""
     from ambrose.judge.controller_file import read_controller
-    from ambrose.model.assemble import assemble
     from ambrose.rig.scenario import bundled_scenarios, load_scenario, scenario_text
     from ambrose.synthesis.design import design
 
