@@ -6,8 +6,6 @@ destructor), and an import that it breaks may fail in other words: the status is
 or after some seconds.
 """
 
-from __future__ import annotations
-
 import _thread
 import gc
 import os

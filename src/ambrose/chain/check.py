@@ -6,8 +6,6 @@ on the first page is looked at here: sizes, loads against forces, gains against 
 nodes, speeds, and the limits that delay sets.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress

@@ -4,8 +4,6 @@ A shape is written the same way in a docstring, in a check and in the message: `
 that repeat within one check must agree; numbers are literal; ``...`` stands for any leading axes.
 """
 
-from __future__ import annotations
-
 import inspect
 import os
 import sys

@@ -23,8 +23,6 @@ A generalized plant is the same loop pulled apart: z = P11 w + P12 u, y = P21 w 
 closes the leading w and z: w = Delta z.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar

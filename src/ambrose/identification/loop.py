@@ -2,8 +2,6 @@
 refusal instead of a silent wrong number.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any

@@ -8,8 +8,6 @@ Check the records, fit (loop.py, seal/pipeline.py, identification/static_load.py
 write it into the machine.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path

@@ -4,8 +4,6 @@ check = check_record("run.h5", "seal-rig")
 check.uses                                  # a Use each: usable, and why not
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path

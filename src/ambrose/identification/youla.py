@@ -9,8 +9,6 @@ the error weighted by M~ (I + G K): white measurement noise stays white, and lea
 efficient near the machine modelled. Lauridsen's paper P1; Hansen, Franklin & Kosut (1989).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

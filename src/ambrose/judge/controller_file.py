@@ -7,8 +7,6 @@ not fit, NaN and truncated text are refused. The JSON schema of what it takes is
 docs/controller.schema.json.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

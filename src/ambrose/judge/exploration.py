@@ -5,8 +5,6 @@ found = explore(machine, controller)
 found.maps, found.pulses, found.unbalance
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache

@@ -6,8 +6,6 @@ unbalance.py and nominal.py; limits come from criteria.py, overridden by the req
 loop diagram is in core/lft.py.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -14,8 +14,6 @@ damped mode, the loop changes within a few bandwidths eps |D R| of the block. Th
 Blocks of other harmonics that are on at the same speed are on here, too.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -26,8 +26,6 @@ The curves are "unbalance" (frozen at the plant's speed), "unbalance.assembled_0
 "unbalance.current_0p".
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 

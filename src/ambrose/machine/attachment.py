@@ -6,8 +6,6 @@ the half of it that the room of machine files needs; ``ambrose.model.effect`` ad
 effect is imported before somebody asks for one.
 """
 
-from __future__ import annotations
-
 from bisect import insort
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace

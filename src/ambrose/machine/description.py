@@ -6,8 +6,6 @@ by ``angle`` from the global x, y. The tables of machine files are made from the
 (file/tables.py). Parts are not checked on their own: the Machine made of them is (machine.py).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

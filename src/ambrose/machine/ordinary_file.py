@@ -2,8 +2,6 @@
 lost under a new file.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import math

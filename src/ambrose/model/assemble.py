@@ -10,8 +10,6 @@ from one plant to the next. Poles of the slow modes are good to 1e-8 rad/s
 (tests/model/test_assemble.py).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache

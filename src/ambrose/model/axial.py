@@ -1,7 +1,5 @@
 """The axis along the shaft: the lag of a thrust magnet's solid core."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

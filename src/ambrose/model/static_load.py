@@ -2,8 +2,6 @@
 it hangs through there, and what that makes of the magnets' coefficients.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache

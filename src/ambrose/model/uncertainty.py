@@ -7,8 +7,6 @@ state), z = half-width * signal leaves. delta = +1 is the upper end of the toler
 that acts in several places (k and -k; one bandwidth for all amplifiers) is one repeated block.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace

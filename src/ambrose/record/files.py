@@ -6,8 +6,6 @@ it does not know and never alters its source. The formats: record/hdf5_file.py a
 record/files.py. Long runs: record/stream.py. Files of other programs: record/foreign.py.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

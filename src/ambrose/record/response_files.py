@@ -16,8 +16,6 @@ a [[path]] for every quotient, with quantity, read, and source (complex), gain a
 and imag.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping, Sequence

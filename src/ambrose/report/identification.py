@@ -4,8 +4,6 @@ pressure.
     write(seal_page(identify_by_frequency(machine, records)), "seal.html")
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence

@@ -5,8 +5,6 @@ why; and a record at a glance, in one figure.
     write(record_page(read_record("run.h5"), machine), ...)     a measurement, or a record of a file
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -6,8 +6,6 @@ same kind of trace. What only turns or whirls (unbalance, speed, seal pressure) 
 (``Scenario.on``).
 """
 
-from __future__ import annotations
-
 import hashlib
 import time
 from collections.abc import Callable

@@ -5,8 +5,6 @@ amplifiers, log, integrate. The machine between the samples is the rotor in free
 contact, coupling, seal, weight and unbalance forces.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace

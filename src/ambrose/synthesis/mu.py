@@ -8,8 +8,6 @@ are real, is reported at every step beside it. (Doyle 1985; Packard & Doyle 1993
 & Postlethwaite 2005, sec. 8.12.)
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal

@@ -20,8 +20,6 @@ constant.
    its limit, and proved again. Parts that are unstable at corners of the tolerances are left out.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """eps of a synchronous block: what the exact poles and the sensitivity beside the speed allow."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import groupby

@@ -1,7 +1,5 @@
 """What a campaign gave: its rows as columns, as an xarray Dataset, as a table."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -6,8 +6,6 @@ line cut off by a kill is dropped. Only keys are held in memory, and few blocks 
 time.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import multiprocessing

@@ -1,7 +1,5 @@
 """``ambrose.lateral``: the lateral analysis of a rotor with its bearings, seals and controller."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -7,8 +7,6 @@ and, within what unbalance takes, the forces of seals and stages at trip, which 
 the magnets.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 

@@ -18,8 +18,6 @@ with S the sensor, C the law as it runs (sampled, late, held), i = A u + E q' th
 modulus is drawn over the map; the real part is the spring in it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 

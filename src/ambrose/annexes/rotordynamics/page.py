@@ -3,8 +3,6 @@
 write(lateral_page(lateral(machine, controller)), "lateral.html")
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

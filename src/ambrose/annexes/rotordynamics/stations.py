@@ -4,8 +4,6 @@ The rotor's motion is read in its modes, anywhere along the shaft, so that the p
 machine's own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

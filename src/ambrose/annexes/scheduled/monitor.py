@@ -4,8 +4,6 @@ its parts, and what it says.
 write(monitor_page(monitor(machine, controller, record), machine), "page.html")
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -8,8 +8,6 @@ jump) both begin anew. "alone", the estimate is told in place of a reading: a me
 pressures that change slowly.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -11,8 +11,6 @@ accepted = accept(machine, controller, ["standstill.h5", "running.h5"])
 From an analyser's responses S comes as they are (judge/measured.py), with the same checks.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

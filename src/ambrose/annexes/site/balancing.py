@@ -9,8 +9,6 @@ weighs by its noise and by a common relative error of the model, as large as the
 (Paule & Mandel 1982): speeds with large vibration do not outvote the others for their small noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -8,8 +8,6 @@ A bias that the machine file knows nothing of begins at the square law, k_i in p
 bias, k_s to its square.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -10,8 +10,6 @@ run-out, magnetic centre.
   is; at several bias currents the weight as well.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -8,8 +8,6 @@ controller need be known. References give y/r and S_o = 1 - y/r; forces f_<port>
 found = respond(machine, ["chirp.h5"])
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise

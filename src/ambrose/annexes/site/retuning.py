@@ -1,7 +1,5 @@
 """Retuning on site: from a record of the running machine to the change that is signed."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """What a landing will be like: whirl before any simulation, one drop, and many of them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

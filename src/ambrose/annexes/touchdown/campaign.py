@@ -5,8 +5,6 @@ them. A drop that turns three times against its spin without going back is said 
 the simulated motion, not a statement on stability.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable

@@ -8,8 +8,6 @@ and friction that slow the rotor. Not modelled: wear, oil films, heat that chang
 clearance, motion along the axis (campaign.py has it), the reaction of unbalance on the spin.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from dataclasses import dataclass

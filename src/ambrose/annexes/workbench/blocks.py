@@ -6,8 +6,6 @@ title or none. Words are words: the page never reads them as markup. A picture i
 ``annexes.workbench.svg`` made.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -13,8 +13,6 @@ by rounding alone (Middleton & Goodwin 1990, ch. 10). Limits, anti-windup and tr
 the same law in modal form (block/block.py), brought into these states.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any

@@ -11,8 +11,6 @@ frequency needs ``proved_level``. Some complex uncertainty (a performance block,
 of neglected dynamics) makes mu continuous.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar

@@ -6,8 +6,6 @@ Signal by signal (data_quality/signals.py), the controller against its own outpu
 could be mixed up (data_quality/diagnosis.py).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations, product

@@ -16,8 +16,6 @@ standard deviations (they go with the square of gap and bias; iron takes from th
 joined, and what stays unknown widens the parameters' intervals.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace

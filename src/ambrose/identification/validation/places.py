@@ -13,8 +13,6 @@ sensors and magnets, about the same load,
 and both coefficients change by the ratio of the force law's slopes at (i_zero, 0) and at (i, q).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -11,8 +11,6 @@ much it matters. What is missing need not be one of the suspects: the largest mo
 the effect, no bound.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ Every check yields complaints, so that all problems of a machine are reported to
 named as in the file.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import unicodedata

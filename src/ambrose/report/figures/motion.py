@@ -10,8 +10,6 @@ upwards, both magnified alike. One frame is the axis and its dots, a few numbers
 library plays them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -10,8 +10,6 @@ exploited; after each round the true norms are computed and the worst parameter 
 added to the models.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

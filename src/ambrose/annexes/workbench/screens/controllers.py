@@ -6,8 +6,6 @@ While a handle moves, the loop is judged on plants that are reduced to the modes
 that the curves follow the hand; what is kept is judged on the full plant first, and says how.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ and the sentence of the machine file stands beside the field that it names. Who 
 fingerprint of the text that was read: an edit of a text that has changed since is refused.
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Callable, Mapping
