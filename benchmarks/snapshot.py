@@ -48,6 +48,7 @@ from scipy.io import loadmat
 from benchmarks.snapshot_runs import Run, runs
 
 FILES = Path(__file__).with_name("snapshot_files")
+FIVE_AXES = Path(__file__).parents[1] / "examples" / "expander-five-axes.toml"
 ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "OMP_NUM_THREADS": "1",
@@ -90,6 +91,7 @@ def take(path: Path, *, quick: bool, only: Sequence[str] = ("*",)) -> None:
         source = source_of(environment, folder)
         print(f"sources: {source}", file=sys.stderr, flush=True)
         shutil.copytree(FILES, folder, dirs_exist_ok=True)
+        shutil.copy(FIVE_AXES, folder)
         for run in chosen:
             taken[run.name], seconds[run.name] = leaves_of(run, folder, environment, source)
             status = taken[run.name]["exit"]

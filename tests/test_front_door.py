@@ -75,6 +75,17 @@ def test_import_is_light():
     )
 
 
+def test_a_design_without_a_synchronous_block_passes_none_of_its_files():
+    """Nor does its verdict."""
+    code = (
+        "import sys, ambrose as amb; machine = amb.load_machine('seal-rig');"
+        "law = amb.design(machine, 'pid'); amb.verify(machine, law, tolerances=False);"
+        "sys.exit(', '.join(m for m in sys.modules if 'ambrose' in m and 'synchronous' in m) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def test_operating_points_by_label_by_noun_and_by_keyword(machine):
     by_label = amb.assemble(machine, "twice")
     noun = next(

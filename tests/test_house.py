@@ -249,6 +249,14 @@ def test_nobody_asks_of_which_kind_a_law_is():
     assert places(kinds_asked_for, OWNERS) == []
 
 
+def test_nobody_asks_whether_a_machine_is_the_thrust_axis():
+    """What differs is asked of the machine: its stations, magnets, reach, whether it is lateral."""
+    named = [path for path in MODULES if "AxialMachine" in path.read_text(encoding="utf-8")]
+    assert [name_of(path) for path in named] == ["machine/machine.py"]
+    asked = [node for node in ast.walk(tree_of(named[0])) if isinstance(node, ast.Call)]
+    assert not [node for node in asked if re.match(r"isinstance\(.*Axial", ast.unparse(node))]
+
+
 def test_below_the_front_door_a_controller_has_a_type():
     assert places(untyped_controllers, DOORS) == []
 

@@ -7,8 +7,6 @@ or after some seconds. A design that is interrupted says that it certifies what 
 last word on it has a minute. A second interruption ends the process at once.
 """
 
-from __future__ import annotations
-
 import _thread
 import gc
 import os

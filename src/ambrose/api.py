@@ -118,7 +118,6 @@ def design(
     """
     from ambrose.model.plant import Plant as PlantType
     from ambrose.options import Rejecting
-    from ambrose.synthesis.synchronous_design import in_words
 
     asked = Rejecting(
         synchronous=synchronous,
@@ -142,6 +141,8 @@ def design(
     result = replace(result, thrust=thrust[0]) if thrust else result
     if block is None:
         return result
+    from ambrose.synthesis.synchronous_design import in_words
+
     left_out = tuple(f"synchronous block: {in_words(item)}" for item in block.forbidden)
     return replace(result, notes=(*result.notes, *left_out, *block.notes))
 
@@ -178,11 +179,13 @@ def design_with_block(
     from ambrose.judge.result import synthesis_of
     from ambrose.model.plant import Plant as PlantType
     from ambrose.synthesis.design import design as designed
-    from ambrose.synthesis.synchronous_design import check_request, design_synchronous
 
     name = method if isinstance(method, str) else type(method).__name__.lower()
     described = machine.machine if isinstance(machine, PlantType) else machine_of(machine)
-    check_request(asked, name, described)
+    if asked.synchronous is not None:
+        from ambrose.synthesis.synchronous_design import check_request, design_synchronous
+
+        check_request(asked, name, described)
     if isinstance(machine, PlantType) and point is not None:
         raise InvalidInput(
             f"the plant is at {machine.point.label!r} already; give the machine to choose another "

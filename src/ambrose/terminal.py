@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, TextIO, TypeVar, cast
 import click
 from click.core import ParameterSource
 
-from ambrose.machine.units import one_line
+from ambrose.machine.units import DIMENSIONS, one_line, read_quantity
 from ambrose.options import (
     GROUPS,
     Option,
@@ -304,7 +304,6 @@ def quantity_given(text: str | None, option: str, dimension: str) -> float | Non
     InvalidInput.
     """
     from ambrose.core.checks import InvalidInput
-    from ambrose.machine.units import DIMENSIONS, read_quantity
 
     if text is None:
         return None

@@ -1,5 +1,7 @@
 """The messages people will read: index, value, requirement, remedy."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from ambrose.core.checks import (
     InvalidInput,
     NumericalFailure,
     UnstableSystem,
+    as_several,
     check_finite,
     check_positive,
     check_shape,
@@ -97,3 +100,11 @@ def test_positive_accepts():
     assert check_positive(np.float32(2), "length", "") == 2.0
     with pytest.raises(InvalidInput, match="zero or positive; give metres"):
         check_positive(-1, "length", "give metres", zero_allowed=True)
+
+
+def test_one_or_several_become_a_tuple():
+    """A text and a path are one, though both can be gone through or look as if."""
+    assert as_several("y_A") == ("y_A",)
+    assert as_several(Path("a.csv")) == (Path("a.csv"),)
+    assert as_several(["a", "b"]) == as_several(name for name in "ab") == ("a", "b")
+    assert as_several(3) == (3,) and as_several(()) == ()

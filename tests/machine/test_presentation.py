@@ -4,14 +4,14 @@ import json
 import math
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import pytest
 
 from ambrose.core.presentation import Presented
 from ambrose.machine import description as d
 from ambrose.machine.file.toml import bundled_machines, dumps_machine, load_machine, loads_machine
-from ambrose.machine.part import Disc
+from ambrose.machine.part import Disc, Part
 
 SMALL = str(Path(__file__).with_name("small.toml"))
 
@@ -85,3 +85,23 @@ def test_what_a_result_names_is_what_it_tells():
         "peak": 3.0,
         "parts": [{"peak": "inf", "parts": []}],
     }
+
+
+def test_a_whole_number_is_written_as_one_however_its_annotation_is_kept():
+    """As text, or as the type itself in a file without the import from __future__."""
+
+    @dataclass(frozen=True, repr=False)
+    class Teeth(Part):
+        count: Annotated[int, "of them"]
+        rows: Annotated[int | None, "of teeth"] = None
+        pitch: Annotated[float, "between them"] = 1
+
+    @dataclass(frozen=True, repr=False)
+    class Text(Part):
+        count: "Annotated[int, 'of them']"
+        pitch: "Annotated[float, 'between them']"
+
+    for part in (Teeth(6, 2, 3), Text(6, 3)):
+        written = part.to_dict()
+        assert [type(written[key]) for key in ("count", "pitch")] == [int, float]
+    assert type(Teeth(6, 2).to_dict()["rows"]) is int

@@ -13,7 +13,7 @@ import pytest
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import OperatingPoint
 from ambrose.record import apart
-from ambrose.record.files import read_record, write_record
+from ambrose.record.files import names_of_files, read_record, write_record
 from ambrose.record.hdf5_file import RecordAttributes, read_attributes, record_schema
 from ambrose.record.record import RESERVED, Record, si_values, signal_dimension
 
@@ -88,6 +88,12 @@ def test_round_trip_is_bit_exact(record, tmp_path, suffix):
     for name in ("machine", "sample_rate_hz", "signals", "units", "point", "start_time", "notes"):
         assert getattr(again, name) == getattr(record, name), name
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_what_is_read_already_is_as_it_is(record, tmp_path):
+    path = write_record(record, tmp_path / "run.h5")
+    assert read_record(record) is record
+    assert names_of_files([path, record, "other.csv"]) == ("run.h5", "other.csv")
 
 
 def test_hdf5_layout_is_the_published_one(record, tmp_path):

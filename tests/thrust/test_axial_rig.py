@@ -116,11 +116,13 @@ def test_scenarios_of_the_radial_rig_act_along_the_shaft():
 
 
 def test_a_record_tells_the_magnets_and_the_file_takes_them(tmp_path):
-    """Faces 10 % larger, gaps 5 % smaller, the core's corner as measured."""
+    """Faces 10 % larger, gaps 5 % smaller, the core's corner as measured; with the controller of
+    all axes, of which that of this one ran.
+    """
     corner = 'permeability = 600\ncore_corner = "18 Hz"'
     scaled = f"{corner}\nface_scale = 1.1\ngap_scale = 0.95"
     real, known = (machine({"permeability = 600": text}).axial for text in (scaled, corner))
-    law = amb.design(known, "pid")
+    law = amb.design(known.whole, "pid")
     run = amb.simulate(real, law, "prbs", point="rated")
     path = tmp_path / "expander.toml"
     path.write_text(dumps_machine(known.whole))

@@ -31,6 +31,8 @@ from ambrose.machine.description import OperatingRange
 from ambrose.machine.part import PidSettings
 from ambrose.model.assemble import assemble
 from ambrose.model.axial import CORNER, at_point, capacity, core_lags, force, sides, tilt_stiffness
+from ambrose.model.plant import ports
+from ambrose.model.static_load import each_magnet, magnet_coefficients
 from ambrose.model.uncertainty import perturbed
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -60,6 +62,27 @@ def derivative(f, x, h):
 
     once = [(4 * central(d / 2) - central(d)) / 3 for d in (h, h / 2)]
     return (16 * once[1] - once[0]) / 15
+
+
+def test_each_group_says_where_forces_act_and_what_its_magnets_are():
+    """Every magnet has a row: of a radial axis the pair as one, of the thrust axis both sides."""
+    whole = machine()
+    axial = whole.axial
+    assert (whole.lateral, axial.lateral) == (True, False)
+    assert whole.magnets == whole.axes and axial.magnets == ("left_T_z", "right_T_z")
+    assert [port.name for port in ports(axial)] == ["T_z"] == list(axial.axes)
+    assert [port.name for port in ports(whole)][:4] == list(whole.axes)
+    assert axial.magnet_paths == tuple(
+        f"thrust_bearing.T.{name}" for name in ("force_per_current", "negative_stiffness")
+    )
+    paths = whole.magnet_paths
+    assert paths[:2] == ("bearing.A.force_per_current.zeta", "bearing.A.force_per_current.eta")
+    assert len(paths) == 2 * len(whole.axes)
+    for group in (whole, axial):
+        each, point = each_magnet(group, group.operation.nominal), group.operation.nominal
+        assert each.shape == (2, len(group.axes), len(group.magnets) // len(group.axes))
+        total = magnet_coefficients(group, point)
+        assert np.array_equal(each.sum(axis=2), np.array(total))
 
 
 @pytest.mark.parametrize("current", [1.0, 4.0, 7.0])

@@ -6,8 +6,6 @@ on the first page is looked at here: sizes, loads against forces, gains against 
 nodes, speeds, and the limits that delay sets.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -29,7 +27,7 @@ from ambrose.law.pid import axes_mixings, channel_chains, first_settings, mixing
 from ambrose.machine.attachment import attached
 from ambrose.machine.criteria import demand
 from ambrose.machine.description import MagneticBearing, OperatingPoint
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.part import Seal
 from ambrose.machine.thrust import ThrustBearing
 from ambrose.machine.units import listed
@@ -160,7 +158,7 @@ _FLUX = 1.5
 _SPARE = 1.5
 
 
-def axial_facts(machine: AxialMachine) -> dict[str, Any]:
+def axial_facts(machine: Machine) -> dict[str, Any]:
     """What `ambrose check file#axial` tells, SI units: mass, coefficients, core, unstable pole,
     capacity against load, doubts.
 
@@ -220,17 +218,17 @@ def along_doubts(machine: Machine) -> list[str]:
     """What is implausible along the shaft of a machine with a thrust bearing, for those who check
     the radial axes; nothing without one.
     """
-    if not any(isinstance(part, ThrustBearing) for part in machine.effects):
+    if not machine.parts(ThrustBearing):
         return []
     try:
-        axial: Any = machine.axial
+        axial = machine.axial
         lines = [*_doubts(axial, stiffness_margin(axial))]
     except InvalidInput as error:
         lines = [str(error)]
     return [f"along the shaft: {line}" for line in lines]
 
 
-def _doubts(machine: AxialMachine, margin: float | None) -> Iterator[str]:
+def _doubts(machine: Machine, margin: float | None) -> Iterator[str]:
     """Gaps, flux, rim speed, capacity and static stiffness (``margin``, K_p k_i/k_s; None without a
     reference controller) that a machine along its shaft hardly has, a sentence each.
     """
@@ -366,9 +364,8 @@ def entry_doubts(machine: Machine) -> Iterator[str]:
         if seal.geometry is not None and (cold := celsius_for_kelvin(seal.geometry)):
             yield f"[[seal]] {seal.name}, [seal.geometry]: {cold}"
         yield from _drives_backward(machine, seal)
-    for _, part in attached(machine):
-        if isinstance(part, Stage):
-            yield from _stage(machine, part)
+    for stage in machine.parts(Stage):
+        yield from _stage(machine, stage)
 
 
 def _filter_corners(machine: Machine) -> Iterator[str]:
@@ -408,8 +405,8 @@ def _refusal(point: OperatingPoint, read: Callable[[], object]) -> Iterator[str]
 
 def load_doubts(machine: Machine, capacity: float) -> Iterator[str]:
     """Loads [N] far beyond what all bearings reach together, ``capacity`` [N]."""
-    for _, part in attached(machine):
-        if isinstance(part, Load) and part.force > _LOAD * capacity > 0:
+    for part in machine.parts(Load):
+        if part.force > _LOAD * capacity > 0:
             yield (
                 f"load {part.name}, {part.force:,.6g} N, is {part.force / capacity:,.3g} times "
                 f"what all bearings reach together, {capacity:,.4g} N; check its unit"
@@ -948,7 +945,7 @@ def clearance_doubts(machine: Machine) -> Iterator[str]:
     radial one given for the diametral, or a diametral touchdown_gap for the radial.
     """
     landing = [bearing for bearing in machine.bearings if bearing.touchdown_gap]
-    parts = [part for _, part in attached(machine) if isinstance(part, Clearance)]
+    parts = machine.parts(Clearance)
     for bearing in landing:
         beside = [
             part
@@ -1315,7 +1312,7 @@ _TOLD = ("doubts", "remarks")  # of the thrust axis, among those of the machine
 
 def _reasons(machine: Machine, failure: str) -> list[str]:
     """The failure, or all that are like it, and what may be its cause."""
-    if isinstance(machine, AxialMachine):
+    if not machine.lateral:
         return [failure]
     found = [*without_coefficients(machine)]
     found = found if failure in found else [failure, *found]
@@ -1324,7 +1321,7 @@ def _reasons(machine: Machine, failure: str) -> list[str]:
 
 @named_failure("the model of the machine")
 def _facts(machine: Machine) -> dict[str, Any]:
-    if isinstance(machine, AxialMachine):
+    if not machine.lateral:
         return axial_facts(machine)
     rotor = finite_element_rotor(machine)
     properties = mass_properties(rotor)

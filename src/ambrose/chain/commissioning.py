@@ -5,8 +5,6 @@ as its loop runs, sampled -> C code -> the law read back out of the running code
 code on the rig at every operating point.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -6,8 +6,6 @@ and for an imported rotor alike. The rules are those of thumb of Schweitzer & Ma
 2, 4 and 9.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -6,8 +6,6 @@ A stage is a plain function of results before it, named by ``needs``; what it ma
 its own name. Stages that leave files take up, on their own, what an earlier run left there.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait

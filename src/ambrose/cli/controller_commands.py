@@ -13,7 +13,7 @@ import click
 
 from ambrose.code.targets import TARGETS
 from ambrose.options import AsItRuns, Exploring, Rejecting, Verifying
-from ambrose.synthesis.methods import methods
+from ambrose.synthesis.methods import Tuned, methods
 from ambrose.terminal import (
     ALL,
     AS_JSON,
@@ -119,14 +119,16 @@ def synthesize(
     from ambrose.machine.file.update import save_machine
     from ambrose.machine.machine import THRUST
     from ambrose.synthesis.design import another_point
-    from ambrose.synthesis.synchronous_design import check_request, in_words
 
     beside = {item.name: asked.pop(item.name) for item in fields(Rejecting)}
     block_options = asked_for(Rejecting, beside)
     chosen = chosen_from(METHODS, method, asked, _METHOD_OPTION)
     description = load(machine, part=False)
     on_machine = chosen.on(description)  # refuses before the design, which takes a while
-    check_request(block_options, method, description)
+    if block_options.synchronous is not None:
+        from ambrose.synthesis.synchronous_design import check_request, in_words
+
+        check_request(block_options, method, description)
     if machine_file is not None and getattr(chosen, "structure", None) not in {"pid", "filters"}:
         raise invalid(
             "--machine-file",
@@ -357,7 +359,6 @@ def trade_off(
     """What a requirement costs: the lowest sensitivity that a tuned controller reaches at each of
     its values.
     """
-    from ambrose.synthesis.methods import Tuned
     from ambrose.synthesis.trade_off import read_value, trade_off as traded
 
     description = load(machine)

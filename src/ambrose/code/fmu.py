@@ -6,8 +6,6 @@ a communication point the outputs are the currents that reach the amplifiers the
 connected to a model of the plant without any delay.
 """
 
-from __future__ import annotations
-
 import html
 import io
 import platform

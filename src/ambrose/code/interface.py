@@ -2,8 +2,6 @@
 compiled code, drives it or describes it reads them here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol

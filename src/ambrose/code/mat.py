@@ -6,8 +6,6 @@ The struct holds the sampled controller as it runs, the continuous one it was ma
 c.B, c.C, c.D, c.dt)`` is the controller in m and A.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import re

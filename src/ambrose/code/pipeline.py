@@ -2,8 +2,6 @@
 written.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +20,6 @@ from ambrose.code.block.scheduled import (
     supervise,
 )
 from ambrose.code.c.code import check_precision
-from ambrose.code.fmu import check_compiler
 from ambrose.code.processor_build import PROCESSORS, unit_of
 from ambrose.code.processor_trial import Trial, check_room, check_trial, try_unit
 from ambrose.code.sampled import (
@@ -223,8 +220,6 @@ def axial_target(target: Target, machine: Machine | None, timing: Timing | None)
     timing: the axial controller's own, None where it states none. Raises InvalidInput for a machine
     without a thrust bearing, and what is tried part by part.
     """
-    from ambrose.code.targets import C
-
     if isinstance(target, C) and (target.try_on is not None or target.bare_metal):
         raise InvalidInput(
             "a unit of all axes is not tried on a processor as a whole; export each controller by "
@@ -381,8 +376,7 @@ def export(
     limits = _limits(synthesis, machine, target)
     along = None if axial is None else _along(axial, synthesis, target, machine)
     check_place(directory)  # all this before the verification, which takes seconds
-    if isinstance(target, Fmu) and not target.sources_only:
-        check_compiler()
+    target.check_tools()
     if isinstance(target, C):
         check_processor(target, lambda: _unverified(synthesis, machine, target, limits))
     with claimed(directory, "folder"):
@@ -483,16 +477,16 @@ def _fallback(
     """
     if fallback is None:
         for name in ("pressure_error", "stuck_after"):
-            if isinstance(target, C) and getattr(target, name) is not None:
+            if (value := getattr(target, name, None)) is not None:
                 raise invalid(
                     name,
-                    getattr(target, name),
+                    value,
                     "left out",
                     "it belongs to a fallback: name the fixed controller",
                 )
         return None
     check_pair(synthesis, fallback)
-    if not isinstance(target, C):
+    if not target.whole:
         raise invalid(
             "a fallback",
             f"given for the target {target.to!r}",
@@ -579,7 +573,7 @@ def _replaced(
     if replaces is None:
         return None
     found = _synthesis(replaces, machine)
-    if not isinstance(target, C):
+    if not target.whole:
         raise invalid(
             "a controller to replace",
             f"given for the target {target.to!r}",
@@ -647,7 +641,7 @@ def _check_target(synthesis: Synthesis, target: Target) -> None:
             raise invalid(
                 what, "given", "left out", f"this controller is not scheduled over {other.name}"
             )
-    if along is not None and along.parts and not isinstance(target, C):
+    if along is not None and along.parts and not target.whole:
         what = "write C, or design over one with --speeds-hz or --pressures-bar alone"
         raise invalid(
             f"a schedule over {along.name}",

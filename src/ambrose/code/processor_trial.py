@@ -1,7 +1,5 @@
 """A unit tried on a processor: the same samples there and here, bit by bit; what a step costs."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ pointers, no methods, no library. Signs, order of the sums and limits are those 
 so results agree to the last digits.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

@@ -58,6 +58,8 @@ class Target(AsItRuns, ABC):
     to: ClassVar[str]
     apart: ClassVar[str] = ""  # why the thrust axis is a unit of its own
     beside: ClassVar[str] = ""  # why it holds no synchronous blocks
+    # whether it holds a fallback, a schedule over two, and tables that can be compared
+    whole: ClassVar[bool] = False
     name: str = option(
         "controller", "Prefix of every name in the code, a C identifier.", check=_identifier
     )
@@ -116,6 +118,9 @@ class Target(AsItRuns, ABC):
         """Whether a filter bank is written section by section."""
         return False
 
+    def check_tools(self) -> None:
+        """Raises InvalidInput where what it is written with is not installed."""
+
     def check_beside(self) -> None:
         """Raises InvalidInput where this target holds no synchronous blocks."""
         from ambrose.core.checks import invalid
@@ -154,6 +159,7 @@ class C(Target):
     """
 
     to: ClassVar[str] = "c"
+    whole: ClassVar[bool] = True
 
     arithmetic: Arithmetic = option("double", "Numbers of the code.", choices=WORDS)
     form: str = option(
@@ -243,6 +249,12 @@ class Fmu(Target):
 
     arithmetic: Arithmetic = option("double", "Numbers of the code.", choices=WORDS)
     sources_only: bool = option(False, "An FMU without a binary: no C compiler is needed here.")
+
+    def check_tools(self) -> None:
+        from ambrose.code.fmu import check_compiler
+
+        if not self.sources_only:
+            check_compiler()
 
     def files(
         self,

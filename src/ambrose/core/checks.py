@@ -4,8 +4,6 @@ A shape is written the same way in a docstring, in a check and in the message: `
 that repeat within one check must agree; numbers are literal; ``...`` stands for any leading axes.
 """
 
-from __future__ import annotations
-
 import inspect
 import os
 import sys
@@ -142,6 +140,12 @@ def check_path(path: Any, what: str) -> Path:
             "give the name of a file",
         )
     return Path(path)
+
+
+def as_several(given: Any) -> tuple[Any, ...]:
+    """One or several, as a tuple: a text, a path, and whatever cannot be gone through is one."""
+    alone = isinstance(given, str | os.PathLike) or not isinstance(given, Iterable)
+    return (given,) if alone else tuple(given)
 
 
 def check_shape(x: ArrayLike, name: str, shape: str, **sizes: int) -> np.ndarray:

@@ -13,8 +13,6 @@ form. Sources: Gahinet & Apkarian 1994, Int. J. Robust Nonlinear Control 4; Iwas
 Automatica 30 (theorem 1). Solver: Clarabel.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -20,8 +20,6 @@ linear between two ends holds where both ends do. Entry-wise bounds do not depen
 scales.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -23,11 +23,9 @@ A generalized plant is the same loop pulled apart: z = P11 w + P12 u, y = P21 w 
 closes the leading w and z: w = Delta z.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.linalg as sla
@@ -65,8 +63,10 @@ _SMALL = 1e-5  # a pivot, over the other entries of its column, that spoils digi
 
 @dataclass(frozen=True, slots=True)
 class _ScalarBlock:
-    """delta I_repeat; abstract."""
+    """delta I_repeat; abstract. real, full: whether delta is real, and Delta any matrix."""
 
+    real: ClassVar[bool] = False
+    full: ClassVar[bool] = False
     name: str
     repeat: int = 1
 
@@ -86,6 +86,8 @@ class _ScalarBlock:
 class RealBlock(_ScalarBlock):
     """delta I_repeat with -1 <= delta <= 1, real: one physical parameter."""
 
+    real: ClassVar[bool] = True
+
 
 @dataclass(frozen=True, slots=True)
 class ComplexBlock(_ScalarBlock):
@@ -100,6 +102,9 @@ class FullBlock:
     performance, or dynamics.
     """
 
+    real: ClassVar[bool] = False
+    full: ClassVar[bool] = True
+    repeat: ClassVar[int] = 1
     name: str
     n_w: int
     n_z: int
@@ -253,7 +258,7 @@ def close_uncertainty(
             )
         if not value.ndim:
             value = value * np.eye(block.n_w, block.n_z)
-        elif not isinstance(block, FullBlock):
+        elif not block.full:
             raise invalid(
                 f"delta of {block.name}", value.tolist(), "one number", "it multiplies the identity"
             )

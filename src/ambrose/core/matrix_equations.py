@@ -4,8 +4,6 @@ Everything is balanced by exact diagonal scaling first, and every result is put 
 equation: what does not fit is not returned.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

@@ -10,8 +10,6 @@ Helmberg, Rendl, Vanderbei & Wolkowicz 1996, SIAM J. Optim. 6; Todd, Toh & Tuetu
 Optim. 8.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -6,8 +6,6 @@ need no more than this package, so they are started without the script. Their li
 thread (``core.processes`` says why), Ctrl-C is the parent's to handle, and they end with it.
 """
 
-from __future__ import annotations
-
 import ipaddress
 import multiprocessing
 import os

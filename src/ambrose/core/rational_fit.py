@@ -10,8 +10,6 @@ relaxed form), and what only one response needs eliminated from its rows (Deschr
 Poles that come out unstable are mirrored. Residues follow from one last least-squares problem.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -15,8 +15,6 @@ all there is to know, G(S) = (N + V S)(M + U S)^-1 = (M~ + S U~)^-1 (N~ + S V~).
 Tay, Mareels & Moore, High Performance Control (1998), ch. 2 and 3; Hansen (1989).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -11,8 +11,6 @@ block. No eigenvectors are formed: defective and badly conditioned systems are a
 other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from math import ceil, comb, factorial, log2

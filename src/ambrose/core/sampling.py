@@ -3,8 +3,6 @@
 States keep their meaning; the matrices are balanced for the work.
 """
 
-from __future__ import annotations
-
 from typing import Any, Literal, get_args
 
 import numpy as np

@@ -6,8 +6,6 @@ neighbours (bilinear of two). A point of one parameter is a number, of several a
 of a grid are counted with the last parameter first.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product

@@ -5,8 +5,6 @@ new systems. Any argument documented as a *system* may also be a python-control 
 ``ControllerLike``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeGuard

@@ -13,8 +13,6 @@ exact. Averaged over a turn, with e = -R c and R = R(exp(j W Ts)), a' = -(leak +
 each eigenvalue of T R with a positive real part is a direction that converges.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

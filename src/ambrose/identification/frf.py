@@ -2,8 +2,6 @@
 which frequency.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -12,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.core.checks import InvalidInput, as_several, check_positive, invalid
 from ambrose.core.frequency import FrequencyResponse, frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import Names, as_statespace, index_of, select
@@ -219,8 +217,7 @@ def stepped(
     [s]: left out of each step. Coherence: the part of a signal's power that repeats from block to
     block. Variance: from the blocks' scatter. Raises InvalidInput.
     """
-    records = (records,) if isinstance(records, Record) else tuple(records)
-    u, y = (tuple([names] if isinstance(names, str) else names) for names in (inputs, outputs))
+    records, u, y = (as_several(given) for given in (records, inputs, outputs))
     if not records or not u or not y:
         raise InvalidInput("a frequency response needs a record, an input and an output; name them")
     plans = [find_steps(record) if steps is None else tuple(steps) for record in records]

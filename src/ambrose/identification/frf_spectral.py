@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import scipy.fft
 
-from ambrose.core.checks import InvalidInput, invalid, same_clock
+from ambrose.core.checks import InvalidInput, as_several, invalid, same_clock
 from ambrose.core.frequency import FrequencyResponse
 from ambrose.core.statespace import Names, index_of
 from ambrose.identification.findings import signal_rows
@@ -158,11 +158,10 @@ def closed_loop(
     excitations that differ over the segments. A name v_<axis> [A] stands for u + e, the amplifier's
     command, where the record lacks it. Raises InvalidInput.
     """
-    u, y = (tuple([names] if isinstance(names, str) else names) for names in (inputs, outputs))
+    records, u, y = (as_several(given) for given in (records, inputs, outputs))
     e = tuple(f"e_{name.partition('_')[2]}" for name in u)
     if excitations is not None:
-        e = (excitations,) if isinstance(excitations, str) else tuple(excitations)
-    records = (records,) if isinstance(records, Record) else tuple(records)
+        e = as_several(excitations)
     # v_<axis> is made of u_<axis> and e_<axis> where the record lacks it
     needed = {
         *e,
@@ -462,8 +461,7 @@ def local_response(
     lines are not independent. Raises InvalidInput where the records are too short, or the inputs
     alike.
     """
-    u, y = (tuple([names] if isinstance(names, str) else names) for names in (inputs, outputs))
-    records = (records,) if isinstance(records, Record) else tuple(records)
+    records, u, y = (as_several(given) for given in (records, inputs, outputs))
     dt, m = records[0].dt, len(u)
     if not all(same_clock(record.dt, dt) for record in records):
         raise InvalidInput(

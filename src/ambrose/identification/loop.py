@@ -2,8 +2,6 @@
 refusal instead of a silent wrong number.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
@@ -25,7 +23,7 @@ from ambrose.identification.output_error.problem import (
     deployed_controller,
     modelled_modes,
 )
-from ambrose.identification.parameters import COVERAGE, magnet_paths, plant_at, split_timing
+from ambrose.identification.parameters import COVERAGE, plant_at, split_timing
 from ambrose.identification.result import LoopIdentification
 from ambrose.identification.validation.places import standing
 from ambrose.identification.validation.plausibility import (
@@ -354,7 +352,7 @@ def usual_unknowns(machine: Machine, records: Sequence[Record | Response] = ()) 
     uncertain pressure, which comes with a record, stands for k, the coefficient that a record tells
     best (C and c are several times less certain).
     """
-    paths = magnet_paths(machine)
+    paths = [*machine.magnet_paths]
     lag = [name for name in AMPLIFIER_PARAMETERS[machine.amplifier.order] if name != "damping"]
     paths += [f"amplifier.{name}" for name in lag[:1]]
     pressed = any(record.point.seal_pressure for record in records) or not records

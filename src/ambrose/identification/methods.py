@@ -14,9 +14,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Identifying(Options):
-    """One way from records to parameters."""
+    """One way from records to parameters. looped: of the running loop, with its controller."""
 
     method: ClassVar[str]  # its name
+    looped: ClassVar[bool] = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -135,6 +136,7 @@ class StaticLoads(Identifying):
     """
 
     method: ClassVar[str] = "static"
+    looped: ClassVar[bool] = False
     why: ClassVar[str] = (
         "static loads give K_i of every axis from forces and currents; no loop is modelled"
     )

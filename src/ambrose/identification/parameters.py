@@ -10,10 +10,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.checks import InvalidInput, as_several, invalid
 from ambrose.machine.attachment import attachment_of, by_table
 from ambrose.machine.description import BiasPoint, MagneticBearing, OperatingPoint, Pair, Tolerance
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import (
     BENDING,
     CONTROLLER_DELAY,
@@ -24,7 +24,6 @@ from ambrose.machine.parameters import (
     parse_parameter,
 )
 from ambrose.machine.part import BendingMode, Seal, constant_under_pressure
-from ambrose.machine.thrust import ThrustBearing
 from ambrose.machine.units import DIMENSIONS
 from ambrose.model.assemble import assemble, bending_modes_of
 from ambrose.model.axial import at_point, with_found
@@ -66,21 +65,6 @@ def half_width(tolerance: Tolerance, value: float) -> float:
     return (tolerance.absolute or 0.0) + (tolerance.relative or 0.0) * abs(value)
 
 
-QUANTITIES_OF_MAGNETS = ("force_per_current", "negative_stiffness")
-
-
-def magnet_paths(machine: Machine) -> list[str]:
-    """The paths of every magnet's force per current, then of every negative stiffness."""
-    if isinstance(machine, AxialMachine):
-        return [f"thrust_bearing.{machine.thrust.name}.{q}" for q in QUANTITIES_OF_MAGNETS]
-    return [
-        f"bearing.{item.name}.{quantity}.{axis}"
-        for quantity in QUANTITIES_OF_MAGNETS
-        for item in machine.bearings
-        for axis in ("zeta", "eta")
-    ]
-
-
 def part_names(machine: Machine) -> dict[str, list[str]]:
     """Table of the machine file -> the names of its parts."""
     return {
@@ -100,8 +84,7 @@ def expand(machine: Machine, paths: Sequence[str]) -> tuple[str, ...]:
 
     Raises InvalidInput for a path that leads nowhere, and for two that name the same number.
     """
-    if isinstance(paths, str):
-        paths = [paths]
+    paths = as_several(paths)
     names = part_names(machine)
     expanded: list[str] = []
     for path in paths:
@@ -155,7 +138,7 @@ def split_timing(machine: Machine, paths: Sequence[str]) -> tuple[tuple[str, ...
     """The machine's parameters among ``paths``, with "*" spelled out, and those of timing:
     "controller.delay" (or "delay") and "excitation.delay". Raises InvalidInput as ``expand`` does.
     """
-    paths = [paths] if isinstance(paths, str) else paths
+    paths = as_several(paths)
     named = [CONTROLLER_DELAY if path == "delay" else path for path in paths]
     timing = [path for path in named if path in TIMING]
     for path in set(timing):
@@ -336,7 +319,7 @@ def update_machine(
             "take the machine it belongs to",
         )
     entries = _entries(machine, result)
-    if isinstance(machine, AxialMachine):
+    if not machine.lateral:
         return _axial(machine, result, entries, origin)
     values = [(one.parameter, one.value) for one in entries]
     tolerances = [one.tolerance for one in entries]
@@ -394,9 +377,7 @@ def update_machine(
     )
 
 
-def _axial(
-    machine: AxialMachine, result: Estimate, entries: Sequence[_Entry], origin: str
-) -> Machine:
+def _axial(machine: Machine, result: Estimate, entries: Sequence[_Entry], origin: str) -> Machine:
     """The axis along the shaft with the values found: scales of its magnets' faces and gaps, its
     amplifier's bandwidth, its controller's delay, its tolerances.
     """
@@ -421,9 +402,7 @@ def _axial(
     assert machine.whole is not None
     whole = replace(
         machine.whole,
-        effects=tuple(
-            part if isinstance(item, ThrustBearing) else item for item in machine.whole.effects
-        ),
+        effects=tuple(part if item == machine.thrust else item for item in machine.whole.effects),
         source="; ".join(text for text in (machine.whole.source, origin) if text),
     )
     return whole.axial

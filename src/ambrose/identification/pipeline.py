@@ -8,14 +8,12 @@ Check the records, fit (loop.py, seal/pipeline.py, identification/static_load.py
 write it into the machine.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, cast
 
-from ambrose.core.checks import InvalidInput, check_finite, invalid, names_wrong_types
+from ambrose.core.checks import InvalidInput, as_several, check_finite, invalid, names_wrong_types
 from ambrose.identification import static_load
 from ambrose.identification.data_quality.signals import left_out, settled, taken
 from ambrose.identification.loop import Progress, identify_loop, usual_unknowns
@@ -38,11 +36,12 @@ from ambrose.identification.result import (
 from ambrose.identification.seal.pipeline import identify_seal
 from ambrose.identification.validation.places import at_place
 from ambrose.identification.validation.repeatability import of_estimates
-from ambrose.law.law import LawLike, law_of
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.law.law import Law, LawLike, law_of
+from ambrose.law.loop import laws_of
+from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import TIMING
 from ambrose.options import choose, either
-from ambrose.record.files import read_record
+from ambrose.record.files import names_of_files, read_record
 from ambrose.record.record import Record
 from ambrose.record.response import Measured, Response
 
@@ -90,8 +89,9 @@ def identify(
         )
     done: StaticIdentification | LoopIdentification
     # before any record is read
-    start = _start_values(chosen.start) if isinstance(chosen, LoopMethod) else None
-    unknown = _paths(chosen.unknown) if isinstance(chosen, LoopMethod) else ()
+    loop = chosen if isinstance(chosen, LoopMethod) else None
+    start = None if loop is None else _start_values(loop.start)
+    unknown = () if loop is None else _paths(loop.unknown)
     if responses := as_responses(records):
         done = _identify_responses(
             machine, responses, controller, chosen, unknown, start, repeats or between, progress
@@ -99,7 +99,7 @@ def identify(
         return replace(done, provenance=provenance or Provenance()).updated()
     measured, names = _read(records, progress)
     provenance = provenance or Provenance(names)
-    seal_form = chosen.seal_form if isinstance(chosen, ClosedLoop) else None
+    seal_form = getattr(chosen, "seal_form", None)
     if seal_form is not None:  # those without pressure first, as they are numbered
         order = sorted(range(len(measured)), key=lambda i: float(measured[i].point.seal_pressure))
         measured = tuple(measured[i] for i in order)
@@ -109,11 +109,10 @@ def identify(
     if between is not None:
         measured = tuple(record.between(*between) for record in whole)
         provenance = replace(provenance, part=taken(measured))
-    elif isinstance(chosen, LoopMethod):
+    elif loop is not None:
         measured = tuple(settled(machine, record) for record in whole)
         provenance = replace(provenance, part=left_out(whole, measured))
-    if isinstance(machine, AxialMachine):
-        machine = at_place(machine, measured)
+    machine = at_place(machine, measured)
     if repeats and len(measured) < 2:
         raise invalid(
             "the number of records",
@@ -121,16 +120,15 @@ def identify(
             "at least 2 for repeats",
             "give every repeat as a record",
         )
-    if isinstance(chosen, StaticLoads):
-        done = _identify_static(machine, measured, repeats, progress, chosen)
+    if loop is None:
+        done = _identify_static(machine, measured, repeats, progress, cast(StaticLoads, chosen))
     else:
-        loop = cast(LoopMethod, chosen)
         if controller is None:
             raise InvalidInput(
                 f"the method {loop.method} needs the controller that ran; give a StateSpace or a "
                 "Synthesis"
             )
-        law = law_of(controller, functions=False)
+        law = _law_that_ran(controller, machine)
         how = loop.fit_options(law.delay_samples)
         # delays and "bending" alone: beside what is usual
         usual = all("." not in path or path in TIMING for path in unknown)
@@ -143,7 +141,7 @@ def identify(
         pressures = {record.point.seal_pressure for record in measured}
         if (
             seal_form is None
-            and isinstance(loop, ClosedLoop)
+            and hasattr(loop, "seal_form")
             and machine.seals
             and len(pressures) > 2
         ):
@@ -151,14 +149,14 @@ def identify(
                 f"{len(pressures)} seal pressures, fitted together: --seal-fit line (seal_form) "
                 "finds the seal at each"
             )
-        if isinstance(loop, ClosedLoop) and seal_form is not None:
+        if seal_form is not None:
             done = identify_seal(
                 machine,
                 measured,
                 law,
                 seal_form,
                 unknown,
-                seal=loop.seal,
+                seal=cast(ClosedLoop, loop).seal,
                 start=start,
                 options=how,
                 progress=progress,
@@ -206,7 +204,7 @@ def _identify_responses(
     return identify_responses(
         machine,
         responses,
-        law_of(controller, functions=False),
+        _law_that_ran(controller, machine),
         unknown,
         start=start,
         computing_delay=method.computing_delay,
@@ -216,13 +214,18 @@ def _identify_responses(
     )
 
 
+def _law_that_ran(controller: LawLike, machine: Machine) -> Law:
+    """That of the machine's own axes, of a controller that holds the thrust axis' too."""
+    return laws_of(machine, law_of(controller, functions=False))[machine.group][1]
+
+
 def check_controller(method: Identifying, given: bool, repeats: bool, option: str = "") -> None:
     """Refuse a method without the controller that it needs, or with one that it does not; repeats
     of records at several pressures. option: "--", as the command line spells them. Raises
     InvalidInput.
     """
     name = f"{option}controller"
-    if given and isinstance(method, StaticLoads):
+    if given and not method.looped:
         loops = either([key for key, kind in METHODS.items() if issubclass(kind, LoopMethod)])
         raise invalid(
             name,
@@ -230,13 +233,13 @@ def check_controller(method: Identifying, given: bool, repeats: bool, option: st
             f"left out with {option}method static",
             f"it goes with {loops}: {method.why}",
         )
-    if not given and isinstance(method, LoopMethod):
+    if not given and method.looped:
         text = (
             "the loop is modelled with the controller that ran; give it (on the command line its "
             "file, *.json)"
         )
         raise InvalidInput(f"{name} is missing: {text}")
-    if repeats and isinstance(method, ClosedLoop) and method.seal_form is not None:
+    if repeats and getattr(method, "seal_form", None) is not None:
         form = "--seal-fit" if option else "seal_form"
         text = "records at several pressures repeat nothing; leave one out"
         raise InvalidInput(f"{option}repeats does not go with {form}: {text}")
@@ -246,9 +249,8 @@ def _read(
     records: Measured | Sequence[Measured], progress: Progress
 ) -> tuple[tuple[Record, ...], tuple[str, ...]]:
     """The records, and the names of those that are files (none where some are not)."""
-    if isinstance(records, Measured):
-        records = (records,)
-    if not isinstance(records, Sequence) or not records:
+    records = as_several(records)
+    if not records:
         raise invalid(
             "records",
             repr(records),
@@ -263,19 +265,17 @@ def _read(
                 "a Record or the path of one",
                 "read it with read_record",
             )
-    files = [Path(item) for item in records if isinstance(item, str | Path)]
-    if files:
-        progress(f"reading {len(files)} record{'s' if len(files) > 1 else ''}")
-    names = tuple(path.name for path in files) if len(files) == len(records) else ()
-    read = [item for item in records if not isinstance(item, Response)]  # as every one is
-    return tuple(item if isinstance(item, Record) else read_record(item) for item in read), names
+    if names := names_of_files(records):
+        progress(f"reading {len(names)} record{'s' if len(names) > 1 else ''}")
+    read = tuple(map(read_record, records))
+    return read, names if len(names) == len(records) else ()
 
 
 def _paths(unknown: object) -> tuple[str, ...]:
     if not isinstance(unknown, str | Sequence):
         remedy = "write bearing.*.negative_stiffness.*"
         raise invalid("unknown", repr(unknown), "a path, or a list of them", remedy)
-    paths = (unknown,) if isinstance(unknown, str) else tuple(unknown)
+    paths = as_several(unknown)
     for path in paths:
         if not isinstance(path, str):
             raise invalid(

@@ -4,8 +4,6 @@ check = check_record("run.h5", "seal-rig")
 check.uses                                  # a Use each: usable, and why not
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +27,7 @@ from ambrose.machine.criteria import TWO_PI
 from ambrose.machine.machine import Machine, point_in_words
 from ambrose.machine.units import BULLET
 from ambrose.model.assemble import assemble
-from ambrose.record.files import read_record
+from ambrose.record.files import names_of_files, read_record
 from ambrose.record.record import Record
 from ambrose.record.response import QUANTITIES, Response
 from ambrose.record.response_files import holds_responses, read_response
@@ -129,8 +127,8 @@ def check_record(
         return _check_responses(source, machine)
     if not isinstance(source, Record) and is_text_table(check_path(source, "record")):
         return _check_table(source, columns, sample_rate_hz, travel)
-    record = source if isinstance(source, Record) else read_record(source)
-    name = record.machine if isinstance(source, Record) else check_path(source, "record").name
+    record = read_record(source)
+    name = "".join(names_of_files([source])) or record.machine
     axes = _axes(record) if machine is None else tuple(machine.axes)
     generic = {"columns": columns, "travel": travel}
     return RecordCheck(
@@ -150,8 +148,8 @@ _CLOSED = ("S", "T", "L", "G", "motion")
 
 def _check_responses(source: Any, machine: Machine | None) -> RecordCheck:
     """Frequency responses: what is measured, and that they serve for identification."""
-    response = source if isinstance(source, Response) else read_response(source)
-    name = response.machine if isinstance(source, Response) else check_path(source, "record").name
+    response = read_response(source)
+    name = "".join(names_of_files([source])) or response.machine
     axes = {path.read for path in response.paths if path.quantity in _CLOSED}
     low, high = (response.omega[k] / TWO_PI for k in (0, -1))
     certain = sum(path.variance is not None for path in response.paths)

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.linalg import schur
 from scipy.optimize import minimize as optimise, nnls
 
-from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
+from ambrose.core.checks import InvalidInput, NumericalFailure, as_several, invalid
 from ambrose.core.frequency import frequency_response, solve_shifted, times
 from ambrose.core.statespace import balance_matrix, poles
 from ambrose.identification.data_quality.signals import point_findings
@@ -116,9 +116,7 @@ def as_responses(records: Any) -> tuple[Response, ...]:
     """The responses among what was given to be identified from, none where it is records. Raises
     InvalidInput for a mixture.
     """
-    items = [records] if isinstance(records, Response | str | File) else records
-    if not isinstance(items, Sequence):
-        return ()
+    items = as_several(records)
     found = [
         isinstance(item, Response) or (isinstance(item, str | File) and holds_responses(item))
         for item in items
@@ -130,7 +128,7 @@ def as_responses(records: Any) -> tuple[Response, ...]:
         )
     if not any(found):
         return ()
-    return tuple(item if isinstance(item, Response) else read_response(item) for item in items)
+    return tuple(map(read_response, items))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

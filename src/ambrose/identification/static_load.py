@@ -20,9 +20,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.core.checks import InvalidInput, check_positive, check_shape, invalid
+from ambrose.core.checks import InvalidInput, as_several, check_positive, check_shape, invalid
 from ambrose.identification.findings import WARNING, Code, Finding, signal_rows
-from ambrose.identification.output_error.problem import as_records, check_records
+from ambrose.identification.output_error.problem import check_records
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import attached_rotor, bending_modes_of
@@ -76,7 +76,7 @@ def steady_levels(
     average = check_positive(
         average, "average", "give the seconds to average at the end of every level"
     )
-    records = as_records(records)
+    records = as_several(records)
     check_records(machine, records, one_rate=False)
     _check_free(records)
     ports = tuple(
@@ -307,7 +307,7 @@ def identify(
     currents at their limit, and records that do not belong to this machine.
     """
     levels = steady_levels(machine, records, average=average, drift=drift)
-    records = as_records(records)
+    records = as_several(records)
     point, axes = records[0].point, machine.axes
     k_s = _stiffness(machine, point, negative_stiffness)
     forces, places = bearing_forces(machine, point, levels)

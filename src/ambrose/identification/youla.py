@@ -9,8 +9,6 @@ the error weighted by M~ (I + G K): white measurement noise stays white, and lea
 efficient near the machine modelled. Lauridsen's paper P1; Hansen, Franklin & Kosut (1989).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,7 +16,14 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
-from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, check_shape, invalid
+from ambrose.core.checks import (
+    InvalidInput,
+    NumericalFailure,
+    as_several,
+    check_positive,
+    check_shape,
+    invalid,
+)
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.presentation import Presented
 from ambrose.core.realisation import CoprimeFactors, coprime_factors, injection_gain, residual_lft
@@ -32,7 +37,6 @@ from ambrose.identification.output_error.normal_equations import Task, distinct
 from ambrose.identification.output_error.problem import (
     Experiment,
     FitOptions,
-    as_records,
     check_records,
     check_start,
     deployed_controller,
@@ -334,7 +338,7 @@ def identify(
         if getattr(how, name) is not None:
             text = "the Youla residual is made of every u_ and y_<axis> over the whole record"
             raise InvalidInput(f"{name} goes with the method closed-loop; {text}")
-    records = as_records(records)
+    records = as_several(records)
     point, dt = check_records(machine, records)
     paths = expand(machine, unknown)
     plant = reduced_plant(machine, point, how.bending_modes, paths)

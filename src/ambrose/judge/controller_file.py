@@ -7,8 +7,6 @@ not fit, NaN and truncated text are refused. The JSON schema of what it takes is
 docs/controller.schema.json.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -261,8 +259,6 @@ def made_for(known: Provenance, machine: Machine) -> str:
     """For which other machine, or other numbers of this one, a controller of that provenance was
     made, in words; "": for this one, or nothing is known.
     """
-    from ambrose.machine.file.toml import machine_hash
-
     if known.machine_hash in {None, machine_hash(machine)}:
         return ""
     other = known.machine != machine.name

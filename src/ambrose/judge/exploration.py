@@ -5,8 +5,6 @@ found = explore(machine, controller)
 found.maps, found.pulses, found.unbalance
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -45,7 +43,7 @@ from ambrose.law.law import SPEED, Law, LawAt, LawLike, law_of
 from ambrose.law.loop import Timing, closed_loop, match_controller, running_law, timing_of
 from ambrose.machine.criteria import TWO_PI
 from ambrose.machine.description import OperatingPoint, Tolerance
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant, top_speed
 from ambrose.model.static_load import Unbalance, residual_unbalance
@@ -462,7 +460,7 @@ def explore(
     parts = asked.parts or PARTS
     spans = {"pressure": asked.pressure, "speed": asked.speed}
     reach = {name: span for name, span in spans.items() if span is not None}
-    if isinstance(machine, AxialMachine):
+    if not machine.lateral:
         parts = ALONG if tuple(parts) == PARTS and not reach else parts
         if set(parts) - set(ALONG) or reach:
             machine.across_the_shaft("nothing along it follows speed, pressure or unbalance")

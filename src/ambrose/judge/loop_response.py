@@ -24,8 +24,7 @@ from ambrose.law.law import LawLike
 from ambrose.law.loop import Timing, machine_timing, match_controller
 from ambrose.machine.criteria import SENSITIVITY, TWO_PI, demand
 from ambrose.machine.description import Requirements
-from ambrose.machine.machine import AxialMachine
-from ambrose.model.axial import left_out, sides
+from ambrose.model.axial import left_out
 from ambrose.model.plant import Plant
 from ambrose.model.uncertainty import reduce_from
 
@@ -156,8 +155,7 @@ def loop_at(plant: Plant, controller: LawLike, omega: float) -> LoopResponse:
 
 def solid_cores(plant: Plant) -> bool:
     """Whether it is the axis along a shaft, with eddy currents in a core."""
-    machine = plant.machine
-    return isinstance(machine, AxialMachine) and any(side.core for side in sides(machine.thrust))
+    return any(name.startswith("core_") for name in plant.rotor.outputs)
 
 
 def half_order_share(

@@ -16,8 +16,6 @@ alpha/2)/(1 - alpha/2), phase 2 arctan(alpha/2).
 curve: margin.loop.output.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -32,7 +32,7 @@ from pathlib import Path as File
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.checks import InvalidInput, as_several, invalid
 from ambrose.core.frequency import evaluate, frequency_response, largest_gain, schur_form
 from ambrose.core.sampling import hold
 from ambrose.core.statespace import StateSpace, poles, select
@@ -1091,8 +1091,7 @@ def _notes(lines: Lines, judged: Judged, valid: Agreement) -> tuple[str, ...]:
 
 def read_responses(responses: Responses) -> list[Response]:
     """One or several, each read where it is a file. Raises InvalidInput."""
-    items = [responses] if isinstance(responses, Response | str | File) else list(responses)
-    return [item if isinstance(item, Response) else read_response(item) for item in items]
+    return [read_response(item) for item in as_several(responses)]
 
 
 def placed(

@@ -6,8 +6,6 @@ unbalance.py and nominal.py; limits come from criteria.py, overridden by the req
 loop diagram is in core/lft.py.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -57,7 +55,7 @@ from ambrose.machine.criteria import (
     machine_limit,
 )
 from ambrose.machine.description import Requirements
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import Machine
 from ambrose.model.axial import Loaded, at_point, loaded, sides
 from ambrose.model.effect import speed_knots
 from ambrose.model.plant import Plant, top_speed
@@ -437,7 +435,7 @@ def check(
     _extend(checks, curves, margin_checks(response, evaluator, requirements))
     tell("unbalance", 0.7)
     residual = residual_unbalance(plant.machine, requirements)
-    if isinstance(plant.machine, AxialMachine):
+    if not plant.machine.lateral:
         notes += ("No unbalance response: unbalance does not act along the shaft.",)
         _extend(checks, curves, thrust_checks(closed, plant))
     elif residual is None:

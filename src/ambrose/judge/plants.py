@@ -1,7 +1,5 @@
 """The full plants of a machine at its operating points, and what they show along the speed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 

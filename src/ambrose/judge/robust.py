@@ -21,8 +21,6 @@ it the full plant: searches and proofs work on the response at the ports of the 
 little more for hundreds of states.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

@@ -24,7 +24,7 @@ from ambrose.core.frequency import (
     peak_near,
     schur_form,
 )
-from ambrose.core.lft import Ports, RealBlock, ports, upper_lft, upper_lft_responses
+from ambrose.core.lft import Ports, ports, upper_lft, upper_lft_responses
 from ambrose.core.mu.all_frequencies import Chords, modal_chords
 from ambrose.core.sampling import held
 from ambrose.core.statespace import StateSpace, check_loop
@@ -289,7 +289,7 @@ def sampled_box(
     model = open_model(plant, tuple(tolerances), True)
 
     # owner: delta_k stands at ``repeat`` channels of w_delta, in the blocks' order
-    blocks = [block for block in model.blocks if isinstance(block, RealBlock)]  # all: tolerances
+    blocks = model.blocks  # all real: tolerances
     owner = np.repeat(np.arange(len(blocks)), [block.repeat for block in blocks])
     names = tuple(block.name for block in blocks)
 

@@ -14,8 +14,6 @@ damped mode, the loop changes within a few bandwidths eps |D R| of the block. Th
 Blocks of other harmonics that are on at the same speed are on here, too.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -421,17 +419,14 @@ def bad_parts(
     speeds = [one.speed for one in found.looks]
     wrong = [bad(one) for one in found.looks]
     parts: list[tuple[float, float, float]] = []
-    k = 0
-    while k < len(speeds):
-        end = k
-        while end + 1 < len(speeds) and wrong[end + 1] == wrong[k]:
-            end += 1
-        if wrong[k]:
-            low = speeds[k - 1] if k else band[0]
-            high = speeds[end + 1] if end + 1 < len(speeds) else band[1]
-            worst = max(found.looks[k : end + 1], key=_stability)
+    for is_wrong, alike in itertools.groupby(range(len(speeds)), wrong.__getitem__):
+        numbers = [*alike]
+        if is_wrong:
+            first, last = numbers[0], numbers[-1]
+            low = speeds[first - 1] if first else band[0]
+            high = speeds[last + 1] if last + 1 < len(speeds) else band[1]
+            worst = max(found.looks[first : last + 1], key=_stability)
             parts.append((low, high, worst.speed))
-        k = end + 1
     return parts
 
 

@@ -26,8 +26,6 @@ The curves are "unbalance" (frozen at the plant's speed), "unbalance.assembled_0
 "unbalance.current_0p".
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -48,7 +46,6 @@ from ambrose.judge.loop_response import (
 )
 from ambrose.law.law import LawLike, law_of
 from ambrose.law.loop import Timing, running_law
-from ambrose.machine.attachment import attached
 from ambrose.machine.criteria import TWO_PI, demand, machine_limit
 from ambrose.machine.description import Requirements
 from ambrose.machine.machine import Machine
@@ -213,11 +210,6 @@ def axis_limits(plant: Plant, static: np.ndarray) -> tuple[AxisLimits, ...]:
     )
 
 
-def loads_of(machine: Machine) -> tuple[Load, ...]:
-    """The machine file's loads."""
-    return tuple(part for _, part in attached(machine) if isinstance(part, Load))
-
-
 def levers(machine: Machine, position: float) -> np.ndarray:
     """The share of a radial force at an axial position [m] that each magnet carries (b,): the rigid
     rotor in balance; the least squares of those for more than two magnets.
@@ -246,7 +238,7 @@ def static_forces(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
     """
     count = len(machine.axes)
     signed, free = np.zeros(count), np.zeros(count)
-    for load in loads_of(machine):
+    for load in machine.parts(Load):
         if load.kind != STATIC:
             continue
         if load.direction is None:
@@ -263,7 +255,7 @@ def load_demands(
     """What impulses and surges of the machine file take of every axis, in the loop as it runs,
     which must be stable.
     """
-    loads = [load for load in loads_of(plant.machine) if load.kind != STATIC]
+    loads = [load for load in plant.machine.parts(Load) if load.kind != STATIC]
     if not loads:
         return tuple(() for _ in plant.axes)
     loop = _Loop(plant, running_law(law_of(law), plant, timing), loads)

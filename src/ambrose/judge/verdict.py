@@ -41,7 +41,6 @@ from ambrose.judge.plants import (
     split_covered,
 )
 from ambrose.judge.result import Certificate, certify
-from ambrose.judge.synchronous import block_loops, check_block
 from ambrose.law.design_problem import machine_weights
 from ambrose.law.law import SPEED, Law, LawLike, law_of
 from ambrose.law.loop import (
@@ -574,6 +573,8 @@ def verify_synchronous(
     blocks = law.synchronous or (() if settings is None else settings.synchronous)
     if not blocks:
         return ()
+    from ambrose.judge.synchronous import block_loops, check_block
+
     items = block_loops(machine, law, blocks, asked.rate, asked.delay_samples)
     return tuple(check_block(item, progress, speed_rate=asked.speed_rate) for item in items)
 

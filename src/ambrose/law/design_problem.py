@@ -21,8 +21,6 @@ is an H-infinity norm below 1 from (w1, w2) to (z1, z2): S_o below 1/W_p, K S_o 
 same with the plant before it for disturbances of the current.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

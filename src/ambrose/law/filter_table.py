@@ -8,8 +8,6 @@ another. Coefficients stand by falling powers of s [rad/s], or with a sample rat
 is: a sampled controller, not an analog one that resembles it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any

@@ -29,7 +29,6 @@ from ambrose.core.statespace import (
 )
 from ambrose.law.law import Law, LawLike, law_of
 from ambrose.machine.machine import (
-    AXIS,
     RADIAL,
     SUFFIX,
     THRUST,
@@ -37,7 +36,6 @@ from ambrose.machine.machine import (
     require_magnets,
 )
 from ambrose.machine.ordinary_file import DELAY_SAMPLES
-from ambrose.machine.thrust import ThrustBearing
 from ambrose.model.plant import Plant
 
 
@@ -151,14 +149,12 @@ def check_side(inputs: Sequence[str], machine: Machine) -> None:
     other way round, by the names of its inputs. Raises InvalidInput.
     """
     whole = machine.whole
-    parts = () if whole is None else whole.effects
-    thrust = next((part for part in parts if isinstance(part, ThrustBearing)), None)
-    if whole is None or thrust is None:
+    if whole is None or THRUST not in whole.groups:
         return
-    along, across = {f"err_{thrust.name}{AXIS}"}, {f"err_{axis}" for axis in whole.axes}
-    if whole is machine and set(inputs) == along:
+    (axis,), across = whole.axial.axes, {f"err_{axis}" for axis in whole.axes}
+    if whole is machine and set(inputs) == {f"err_{axis}"}:
         raise InvalidInput(
-            f"this controller is of {thrust.name}{AXIS}, the axis along the shaft; add "
+            f"this controller is of {axis}, the axis along the shaft; add "
             f'"{SUFFIX}" to the machine, {machine.name}{SUFFIX}'
         )
     if whole is not machine and set(inputs) == across:

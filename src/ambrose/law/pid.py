@@ -6,8 +6,6 @@ x, a positive gain pulls the rotor back: it must exceed k_s / k_i before the loo
 at all.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 

@@ -7,8 +7,6 @@ what is left of the difference at the change fades away linearly. Nothing is pro
 itself: the dwell time is tried on the rig.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from enum import IntEnum

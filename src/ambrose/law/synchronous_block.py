@@ -26,8 +26,6 @@ A fault of the block never reaches the base controller: it gets its error plus c
 by the limits of the amplitudes.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -6,8 +6,6 @@ the half of it that the room of machine files needs; ``ambrose.model.effect`` ad
 effect is imported before somebody asks for one.
 """
 
-from __future__ import annotations
-
 from bisect import insort
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -28,13 +26,13 @@ class Station:
     """Where an effect acts: ports <name>_<axis> at a position [m] along the rotor.
 
     angle: of the first axis from the global x [rad]; the second one is a quarter turn ahead. axes:
-    their names.
+    their names; one along the shaft.
     """
 
     name: str
     position: float
     angle: float = 0.0
-    axes: tuple[str, str] = UPRIGHT
+    axes: tuple[str, ...] = UPRIGHT
 
 
 def where_it_stands(part: Any) -> tuple[Station, ...]:

@@ -6,8 +6,6 @@ row (if any) and which field of ``Requirements`` judge a quantity. What verifica
 what tuning aims at is the same.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,13 +6,11 @@ by ``angle`` from the global x, y. The tables of machine files are made from the
 (file/tables.py). Parts are not checked on their own: the Machine made of them is (machine.py).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from numbers import Real
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from ambrose.core.checks import check_positive, invalid, names_wrong_types, unfit
 from ambrose.machine.kinds import (
@@ -50,6 +48,7 @@ from ambrose.machine.part import (
     Touchdown,
 )
 
+Kind = TypeVar("Kind", bound=Part)
 Pair = tuple[float, float]  # (zeta, eta)
 
 SCHEMA_VERSION = 1  # of the machine file
@@ -546,6 +545,10 @@ class MachineDescription(Part):
     def attached(self) -> tuple[Any, ...]:
         """The parts of all registered effects, in the order of their ports."""
         return (*self.couplings, *self.effects)
+
+    def parts(self, kind: type[Kind]) -> tuple[Kind, ...]:
+        """Those of a kind among ``attached``, such as ``Load``, in their order."""
+        return tuple(part for part in self.attached if isinstance(part, kind))
 
     @property
     def reference(self) -> PidSettings | None:

@@ -5,8 +5,6 @@ A kind is a pydantic annotation: ``length: Annotated[float, Quantity("length")]`
 raises ValueError with a text that follows the key's name; the schema adds table, entry and key.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Any
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, ClassVar
 
 from ambrose.core.checks import InvalidInput, names_wrong_types
 from ambrose.core.presentation import html_table
-from ambrose.machine.attachment import attached, attachment_of, by_table
+from ambrose.machine.attachment import TILTED, Station, attached, attachment_of, by_table
 from ambrose.machine.description import (
     DAMPINGS,
     SCHEMA_VERSION,
@@ -26,6 +26,7 @@ from ambrose.machine.thrust import AxialRequirements, ThrustBearing
 from ambrose.machine.validation.machine import InvalidMachine, axial_problems, check_machine
 
 RADIAL, THRUST = "radial", "thrust"  # groups of axes
+_OF_MAGNETS = ("force_per_current", "negative_stiffness")
 # keys of [machine]
 _HEAD = (
     *("name", "description", "source", "beam_theory", "modal_damping"),
@@ -40,7 +41,11 @@ class Machine(MachineDescription):
     It is checked as a whole whenever one is made, from a file, in code or with ``replace``. Making
     one raises InvalidInput with a line for each problem: what belongs together (a seal and its
     tolerance, a bearing and its sensor) is replaced together.
+
+    lateral: whether its axes lie across the shaft, where the rotor bends, whirls and is unbalanced.
     """
+
+    lateral: ClassVar[bool] = True
 
     @names_wrong_types
     def __post_init__(self) -> None:
@@ -91,6 +96,34 @@ class Machine(MachineDescription):
         return self
 
     @property
+    def stations(self) -> tuple[Station, ...]:
+        """Where forces act along its axes: bearings in the order of the axes, registered effects,
+        seals, discs.
+        """
+        bearings = [Station(b.name, b.position, b.angle, TILTED) for b in self.bearings]
+        effects = [station for effect, part in attached(self) for station in effect.stations(part)]
+        seals = [Station(seal.name, seal.position) for seal in self.seals]
+        discs = [Station(disc.name, disc.position) for disc in self.discs]
+        return (*bearings, *effects, *seals, *discs)
+
+    @property
+    def magnets(self) -> tuple[str, ...]:
+        """Where the magnets' current forces act, as many for every axis: the pair of a radial axis
+        at its port, as one.
+        """
+        return self.axes
+
+    @property
+    def magnet_paths(self) -> tuple[str, ...]:
+        """The parameters of every force per current, then of every negative stiffness."""
+        return tuple(
+            f"bearing.{bearing.name}.{quantity}.{axis}"
+            for quantity in _OF_MAGNETS
+            for bearing in self.bearings
+            for axis in TILTED
+        )
+
+    @property
     def conditions(self) -> tuple[Condition, ...]:
         """What its operating points hold besides, of an axis along the shaft."""
         return ()
@@ -98,10 +131,9 @@ class Machine(MachineDescription):
     @property
     def thrust(self) -> ThrustBearing:
         """Its thrust bearing. Raises InvalidInput where it has none."""
-        found = next((part for part in self.effects if isinstance(part, ThrustBearing)), None)
-        if found is None:
-            raise InvalidInput(f"{self.name} has no [[thrust_bearing]]; add one")
-        return found
+        if found := self.parts(ThrustBearing):
+            return found[0]
+        raise InvalidInput(f"{self.name} has no [[thrust_bearing]]; add one")
 
     def condition(self, point: OperatingPoint) -> Condition:
         """Thrust and place at an operating point: by its label, else of the first one at its speed
@@ -329,6 +361,7 @@ class AxialMachine(Machine):
     radial parts (bearings, seals, couplings, supports) are left out: decoupled, as built.
     """
 
+    lateral: ClassVar[bool] = False
     whole: Machine | None = field(default=None, compare=False)
     conditions: tuple[Condition, ...] = field(default=(), compare=False)
 
@@ -351,6 +384,21 @@ class AxialMachine(Machine):
     def axes(self) -> tuple[str, ...]:
         """The one axis."""
         return (f"{self.thrust.name}{AXIS}",)
+
+    @property
+    def stations(self) -> tuple[Station, ...]:
+        """Its bearing."""
+        return (Station(self.thrust.name, self.thrust.position, axes=(AXIS[1:],)),)
+
+    @property
+    def magnets(self) -> tuple[str, ...]:
+        """The left one and the right one, each before its core's lag."""
+        return tuple(f"{side}{self.axes[0]}" for side in ("left_", "right_"))
+
+    @property
+    def magnet_paths(self) -> tuple[str, ...]:
+        """Of both magnets as one."""
+        return tuple(f"thrust_bearing.{self.thrust.name}.{name}" for name in _OF_MAGNETS)
 
     @property
     def axis_bearings(self) -> tuple[Any, ...]:
@@ -405,7 +453,7 @@ def axial_machine(machine: Machine) -> AxialMachine:
     """The axis along the shaft of a machine with a [[thrust_bearing]] (``Machine.axial``). Raises
     InvalidInput.
     """
-    part = next(part for part in machine.effects if isinstance(part, ThrustBearing))
+    part = machine.thrust
     points, conditions = _points(machine, part)
     labels = {point.label for point in points}
     design = machine.operation.design_point

@@ -2,8 +2,6 @@
 lost under a new file.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import math
@@ -21,7 +19,7 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
-from ambrose.core.checks import InvalidInput, check_path, invalid
+from ambrose.core.checks import InvalidInput, as_several, check_path, invalid
 from ambrose.core.presentation import json_text
 from ambrose.machine.units import quoted
 
@@ -696,7 +694,7 @@ def check_form(data: Any, schema: Mapping[str, Any], again: str) -> None:
 
 def _faults(data: Any, schema: Mapping[str, Any], place: str) -> Iterator[tuple[str, str]]:
     allowed = schema.get("type", ())
-    names = [allowed] if isinstance(allowed, str) else allowed
+    names = as_several(allowed)
     if names and not any(_is(data, name) for name in names):
         yield place, f"is {_shown(data)}, but must be {' or '.join(names)}"
     elif "const" in schema and data != schema["const"]:

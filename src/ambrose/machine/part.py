@@ -2,14 +2,12 @@
 keys of a machine file.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from functools import lru_cache
 from math import inf
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_args, get_type_hints
 
 import numpy as np
 
@@ -66,7 +64,7 @@ class Part(Presented):
         """The values by their keys in a machine file, SI, as plain data; those at their default
         only with ``defaults``.
         """
-        table = {}
+        table, hints = {}, hints_of(type(self))  # type: ignore[arg-type]  # hashable
         for item in fields(self):  # type: ignore[arg-type]  # every Part is a dataclass
             value = getattr(self, item.name)
             default = (
@@ -80,10 +78,16 @@ class Part(Presented):
                 key = item.metadata.get("key", item.name)
                 table[key] = (
                     int(value)
-                    if str(item.type).startswith("Annotated[int")
+                    if _counts(hints[item.name])
                     else to_plain_values(value, defaults=defaults)
                 )
         return table
+
+
+def _counts(hint: Any) -> bool:
+    """Whether a field is a whole number: Annotated[int, ...], or int | None."""
+    kind = next(iter(get_args(hint)), None)
+    return int in (kind, *get_args(kind))
 
 
 def to_plain_values(value: Any, *, defaults: bool = False) -> Any:

@@ -6,8 +6,6 @@ coil between an inner and an outer pole; the right one pulls along z. What is de
 for this axis is a machine of its own (``ambrose.machine.machine``).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Annotated
 

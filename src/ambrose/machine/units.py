@@ -5,8 +5,6 @@ The units of everyday use are a table with exact factors; any other unit is left
 imported only then.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence

@@ -10,8 +10,6 @@ from one plant to the next. Poles of the slow modes are good to 1e-8 rad/s
 (tests/model/test_assemble.py).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -24,11 +22,11 @@ from ambrose.core.checks import InvalidInput, invalid, names_wrong_types
 from ambrose.core.mechanical import SecondOrder, to_common_statespace
 from ambrose.core.statespace import StateSpace, connect, rename, static_gain
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.ordinary_file import FINE_MESH_MODES, LEAST_MODES
 from ambrose.machine.parameters import BENDING, operating_point, uncertain_modes
 from ambrose.machine.part import Seal
-from ambrose.model import axial as wiring
+from ambrose.model.axial import rotor_statespace
 from ambrose.model.effect import Reaction, reactions
 from ambrose.model.effects import amplifier, seal, seal_rational, sensor
 from ambrose.model.effects.rotor import (
@@ -44,7 +42,7 @@ from ambrose.model.effects.rotor import (
 from ambrose.model.effects.seal_rational import has_states
 from ambrose.model.effects.stations import foundation
 from ambrose.model.plant import Plant, Port, highest_verified, ports, sensor_ports, supported_ports
-from ambrose.model.static_load import magnet_coefficients
+from ambrose.model.static_load import each_magnet, magnet_coefficients
 
 # The coordinates of the full model: the lowest modes of the free rotor, and what the rest of them
 # yields at the ports.
@@ -73,7 +71,7 @@ def bending_modes_of(rotor: Rotor) -> int:
 
 def judged_bending(machine: Machine) -> np.ndarray:
     """The bending frequencies (k,) [rad/s] at which the sensitivity is judged."""
-    if isinstance(machine, AxialMachine):
+    if not machine.lateral:
         return np.zeros(0)  # rigid along its axis
     rotor = finite_element_rotor(machine)
     frequencies = free_modes(rotor, bending_modes_of(rotor)).frequencies[4::2]
@@ -282,8 +280,8 @@ def assemble(
     """
     point = machine.operation.nominal if point is None else operating_point(machine, point)
     with named_point(point):
-        if isinstance(machine, AxialMachine):
-            return wire(machine, point, wiring.rotor_statespace(machine, point))
+        if not machine.lateral:
+            return wire(machine, point, rotor_statespace(machine, point))
         rotor = finite_element_rotor(machine)
         modes = rotor.most_bending if every_mode else None
         attached = attached_statespace(machine, point, rotor, modes)
@@ -568,36 +566,32 @@ def plant_outputs(axes: Sequence[str], names: Sequence[str]) -> list[str]:
 
 
 def rotor_inputs(machine: Machine) -> list[str]:
-    """Names of a rotor's inputs within the plant: F_<port>, and the external f_<port> where it acts
-    on the rotor alone.
+    """Names of a rotor's inputs within the plant: F_<port>, also where a magnet alone pulls, and
+    the external f_<port> where it acts on the rotor alone.
     """
-    if isinstance(machine, AxialMachine):
-        return wiring.rotor_inputs(machine)
-    inputs = [f"F_{name}" for name in (*(p.name for p in ports(machine)), *mode_ports(machine))]
+    inputs = [*force_sums(machine), *(f"F_{name}" for name in mode_ports(machine))]
     return inputs + [f"f_{name}" for name in supported_ports(machine)]
 
 
 def force_sums(machine: Machine) -> dict[str, list[str]]:
     """The rotor's force F_<port> is the external force, at a bearing plus the magnet's current
-    force m_<axis>.
+    force m_<axis>; where a magnet alone pulls, its current force.
 
     Where the stator can move F_<port> acts on it, too, and the external force has an input of its
     own (``rotor_inputs``).
     """
-    if isinstance(machine, AxialMachine):
-        return wiring.force_sums(machine)
-    names, on = [p.name for p in ports(machine)], supported_ports(machine)
-    return {f"F_{n}": [f"f_{n}"] * (n not in on) + [f"m_{n}"] * (n in machine.axes) for n in names}
+    names, pull = [p.name for p in ports(machine)], machine.magnets
+    pushed = {*names} - {*supported_ports(machine)}
+    return {
+        f"F_{n}": [f"f_{n}"] * (n in pushed) + [f"m_{n}"] * (n in pull)
+        for n in dict.fromkeys((*names, *pull))
+    }
 
 
 def magnets(machine: Machine, point: OperatingPoint) -> StateSpace:
-    """The current force of every axis, i_<axis> [A] -> m_<axis> [N]; the displacement force is part
-    of the rotor.
+    """The current force of every magnet, i_<axis> [A] -> m_<magnet> [N]; the displacement force is
+    part of the rotor.
     """
-    if isinstance(machine, AxialMachine):
-        return wiring.magnets(machine, point)
-    return static_gain(
-        np.diag(magnet_coefficients(machine, point)[0]),
-        [f"i_{a}" for a in machine.axes],
-        [f"m_{a}" for a in machine.axes],
-    )
+    k_i, axes = each_magnet(machine, point)[0], machine.axes
+    onto = np.repeat(np.eye(len(axes)), k_i.shape[1], axis=0) * k_i.reshape(-1, 1)
+    return static_gain(onto, [f"i_{a}" for a in axes], [f"m_{name}" for name in machine.magnets])

@@ -1,7 +1,5 @@
 """The axis along the shaft: the lag of a thrust magnet's solid core."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ambrose.core.checks import InvalidInput, check_positive
 from ambrose.core.frequency import bracketed_root
-from ambrose.core.statespace import StateSpace, static_gain
+from ambrose.core.statespace import StateSpace
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.machine import Condition, Machine
 from ambrose.machine.thrust import Pair, ThrustBearing, ThrustStator
@@ -505,10 +503,9 @@ def with_found(
 #
 # rotor mass, coupling to ground, external force, and both magnets' forces after their solid cores
 # (none: at once). The signals are those of any plant (``model.plant``), its one port and axis
-# called <thrust bearing>_z. left_<axis> and right_<axis> [N] are the forces before the cores.
+# called <thrust bearing>_z. f_left_<axis> and f_right_<axis> [N] are the forces before the cores.
 
 
-SIDES = ("left", "right")
 _SCALE = 300.0  # [rad/s] of the velocity's state, as of the rigid modes of the radial plant
 _SAME = 1e-12  # relative: cores that lag alike are one
 
@@ -519,7 +516,7 @@ def rotor_mass(machine: Machine) -> float:
 
 
 def rotor_statespace(machine: Machine, point: OperatingPoint) -> StateSpace:
-    """Inputs f_<axis>, left_<axis>, right_<axis> [N]; outputs q_<axis>, s_<axis> [m] and
+    """Inputs f_<axis>, f_left_<axis>, f_right_<axis> [N]; outputs q_<axis>, s_<axis> [m] and
     qdot_<axis> [m/s], and core_left_<axis> [N], what the eddy currents take of the left magnet's
     force, or of both where these are alike, else core_right_<axis> as well; the negative stiffness
     closed.
@@ -574,13 +571,13 @@ def rotor_statespace(machine: Machine, point: OperatingPoint) -> StateSpace:
         C[3 + number, at_state : at_state + len(part_out)] = -part_out
         D[3 + number, 1:] = row
         at_state += len(part_out)
-        cores.append(f"core_{SIDES[row.index(1.0)]}_{axis}")
+        cores.append(f"core_{machine.magnets[row.index(1.0)]}")
     return StateSpace(
         A,
         B,
         C,
         D,
-        [f"f_{axis}", *(f"{side}_{axis}" for side in SIDES)],
+        [f"f_{name}" for name in (axis, *machine.magnets)],
         [f"q_{axis}", f"s_{axis}", f"qdot_{axis}", *cores],
     )
 
@@ -590,25 +587,3 @@ def _alike(one: tuple[np.ndarray, ...], other: tuple[np.ndarray, ...]) -> bool:
         a.shape == b.shape and np.allclose(a, b, rtol=_SAME, atol=0.0)
         for a, b in zip(one, other, strict=True)
     )
-
-
-def rotor_inputs(machine: Machine) -> list[str]:
-    """The rotor's inputs within the plant."""
-    (axis,) = machine.axes
-    return [f"F_{axis}", *(f"{side}_{axis}" for side in SIDES)]
-
-
-def force_sums(machine: Machine) -> dict[str, list[str]]:
-    """The external force on the rotor, and each magnet's current force before its core."""
-    (axis,) = machine.axes
-    return {
-        f"F_{axis}": [f"f_{axis}"],
-        **{f"{side}_{axis}": [f"m_{side}_{axis}"] for side in SIDES},
-    }
-
-
-def magnets(machine: Machine, point: OperatingPoint) -> StateSpace:
-    """i_<axis> [A] -> m_left_<axis>, m_right_<axis> [N]: k_i i of each side, before its core."""
-    (axis,), at = machine.axes, at_point(machine, point)
-    gains = [[at.left.force_per_current], [at.right.force_per_current]]
-    return static_gain(gains, [f"i_{axis}"], [f"m_{side}_{axis}" for side in SIDES])

@@ -6,8 +6,6 @@ part, the uncertainty its channels; ports, machine file, checks, tolerances and 
 the half that ``machine.attachment`` describes. None of these files knows a single effect.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any

@@ -2,8 +2,6 @@
 the same type.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -14,10 +12,9 @@ from scipy.linalg import block_diag
 from ambrose.core.checks import check_types
 from ambrose.core.presentation import Presented
 from ambrose.core.statespace import StateSpace
-from ambrose.machine.attachment import TILTED, Station, attached
 from ambrose.machine.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR
 from ambrose.machine.description import OperatingPoint, Tolerance
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import Machine
 from ambrose.model.effects import sensor
 from ambrose.model.effects.rotor import Rotor, finite_element_rotor
 
@@ -43,17 +40,10 @@ def ports(machine: Machine) -> tuple[Port, ...]:
     (such as couplings) in their own axes, seals and discs (x, y). Of the axis along the shaft its
     bearing alone.
     """
-    if isinstance(machine, AxialMachine):
-        return (Port(machine.axes[0], machine.thrust.position, 0.0),)
-    stations = [Station(b.name, b.position, b.angle, TILTED) for b in machine.bearings]
-    for effect, part in attached(machine):
-        stations += effect.stations(part)
-    stations += [Station(s.name, s.position) for s in machine.seals]
-    stations += [Station(d.name, d.position) for d in machine.discs]
     return tuple(
-        Port(f"{station.name}_{axis}", station.position, station.angle + turn)
-        for station in stations
-        for axis, turn in zip(station.axes, (0.0, QUARTER), strict=True)
+        Port(f"{station.name}_{axis}", station.position, station.angle + number * QUARTER)
+        for station in machine.stations
+        for number, axis in enumerate(station.axes)
     )
 
 
@@ -95,14 +85,12 @@ def sensor_turn(machine: Machine) -> np.ndarray:
     """(axes, axes): displacements along the actuators' axes from the measured ones; the identity
     for sensors at their angle.
     """
-    if isinstance(machine, AxialMachine):
-        return np.eye(1)
     sensors = measured_ports(machine)[0::2]
     turned = [
         sensor.rotation(port.direction - b.angle)
         for port, b in zip(sensors, machine.bearings, strict=True)
     ]
-    return np.asarray(block_diag(*turned))
+    return np.asarray(block_diag(*turned)) if turned else np.eye(len(machine.axes))
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -2,8 +2,6 @@
 it hangs through there, and what that makes of the magnets' coefficients.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -14,7 +12,7 @@ from numpy.typing import ArrayLike
 from ambrose.core.checks import check_finite, invalid, named_failure
 from ambrose.machine.criteria import BALANCE_GRADE
 from ambrose.machine.description import BiasPoint, MagneticBearing, OperatingPoint, Requirements
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.ordinary_file import FINE_MESH_MODES
 from ambrose.model.axial import at_point
 from ambrose.model.effects.magnet import LoadedMagnet, MagnetCoefficients, carrying
@@ -108,14 +106,20 @@ def magnet_coefficients(machine: Machine, point: OperatingPoint) -> tuple[np.nda
     """k_i (a,) [N/A] and k_s (a,) [N/m] of the control axes at an operating point, see
     ``operating_magnets``; of the axis along the shaft at rest, before the core's lag.
     """
-    if isinstance(machine, AxialMachine):
-        at = at_point(machine, point)
-        return np.array([at.force_per_current]), np.array([at.stiffness])
-    coefficients = [
-        magnet.coefficients for magnet in operating_magnets(machine, point.bias_current)
+    k_i, k_s = each_magnet(machine, point).sum(axis=2)
+    return k_i, k_s
+
+
+def each_magnet(machine: Machine, point: OperatingPoint) -> np.ndarray:
+    """k_i [N/A] and k_s [N/m] (2, a, p) of the p magnets of every axis (``machine.magnets``)."""
+    if machine.lateral:
+        pairs = [item.coefficients for item in operating_magnets(machine, point.bias_current)]
+        rows = [(item.force_per_current, item.negative_stiffness) for item in pairs]
+        return np.array(rows).reshape(-1, 2, 2).swapaxes(0, 1).reshape(2, -1, 1)
+    at = at_point(machine, point)
+    return np.array([(one.force_per_current, one.stiffness) for one in (at.left, at.right)]).T[
+        :, None
     ]
-    k_i = np.array([value for item in coefficients for value in item.force_per_current])
-    return k_i, np.array([value for item in coefficients for value in item.negative_stiffness])
 
 
 def stated_at_load(machine: Machine, bearing: MagneticBearing) -> MagneticBearing:
@@ -190,7 +194,7 @@ def residual_unbalance(
     None when no such speed is known. Raises InvalidInput for a grade or speed that is not positive.
     """
     requirements = machine.requirements if requirements is None else requirements
-    if isinstance(machine, AxialMachine):
+    if not machine.lateral:
         return None  # it turns in the radial planes
     speed = requirements.balance_speed or top_speed(machine)
     if not speed:

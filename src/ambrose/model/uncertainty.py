@@ -7,8 +7,6 @@ state), z = half-width * signal leaves. delta = +1 is the upper end of the toler
 that acts in several places (k and -k; one bandwidth for all amplifiers) is one repeated block.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -31,7 +29,6 @@ from ambrose.core.statespace import (
 )
 from ambrose.machine.attachment import attached
 from ambrose.machine.description import Amplifier, Tolerance
-from ambrose.machine.machine import AxialMachine
 from ambrose.machine.parameters import BENDING, Parameter, find_uncertain
 from ambrose.machine.part import Seal
 from ambrose.model.assemble import (
@@ -51,13 +48,12 @@ from ambrose.model.assemble import (
     wire,
     with_states,
 )
-from ambrose.model.axial import SIDES, at_point
 from ambrose.model.effects import amplifier as amplifiers, seal_rational, sensor
 from ambrose.model.effects.rotor import free_modes
 from ambrose.model.effects.seal_rational import has_states
 from ambrose.model.effects.stations import foundation
 from ambrose.model.plant import Plant, top_speed
-from ambrose.model.static_load import magnet_coefficients, operating_magnets
+from ambrose.model.static_load import each_magnet, magnet_coefficients, operating_magnets
 
 NEXT = "next"
 
@@ -378,24 +374,20 @@ def _bearing_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
 
 def _thrust_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
     """k_i i or k_s x of both magnets, each side's share of it before its core."""
-    machine = plant.machine
-    (axis,), at = plant.axes, at_point(machine, plant.point)
+    machine, (axis,) = plant.machine, plant.axes
     if parameter.quantity == "core_scale":
         # (R_0 + (1 + d) c sqrt(s)) phi = v: as v less d times what the eddy currents take
         scale = machine.thrust.core_scale
         taken = [name for name in plant.rotor.outputs if name.startswith("core_")]
-        return [Channel(name.removeprefix("core_"), scale, ((name, -1 / scale),)) for name in taken]
-    by_current = parameter.quantity == "force_per_current"
-    parts = [
-        item.force_per_current if by_current else item.stiffness for item in (at.left, at.right)
-    ]
+        return [
+            Channel(f"F_{name.removeprefix('core_')}", scale, ((name, -1 / scale),))
+            for name in taken
+        ]
+    by_place = parameter.quantity != "force_per_current"
+    parts = each_magnet(machine, plant.point)[int(by_place), 0].tolist()
     return [
-        Channel(
-            f"{side}_{axis}",
-            sum(parts),
-            ((f"{'i' if by_current else 'q'}_{axis}", part / sum(parts)),),
-        )
-        for side, part in zip(SIDES, parts, strict=True)
+        Channel(f"F_{name}", sum(parts), ((f"{'iq'[by_place]}_{axis}", part / sum(parts)),))
+        for name, part in zip(machine.magnets, parts, strict=True)
     ]
 
 
@@ -638,7 +630,7 @@ def default_bending_modes(plant: Plant) -> int:
     """How many bending modes per plane matter: those up to twice the top speed or the amplifier's
     fastest lag, and one more.
     """
-    if isinstance(plant.machine, AxialMachine):
+    if not plant.machine.lateral:
         return 0
     amplifier = plant.machine.amplifier
     lags = [
@@ -667,7 +659,7 @@ def modal_reduction(
     mesh has, NumericalFailure when the poles to keep are not separated from the rest.
     """
     machine, point = plant.machine, plant.point
-    if isinstance(machine, AxialMachine):
+    if not machine.lateral:
         return _whole(plant)
     rotor = plant.rotor_model
     available = bending_modes_of(rotor)
@@ -749,7 +741,7 @@ def free_mode_reduction(plant: Plant, bending_modes: int = 0, residual: bool = F
     residual: and of what the others yield at the ports, so that the compliance is that of all.
     """
     machine, point = plant.machine, plant.point
-    if isinstance(machine, AxialMachine):
+    if not machine.lateral:
         return _whole(plant).plant
     closed = attached_statespace(machine, point, plant.rotor_model, bending_modes, residual)
     return with_offsets_of(wire(machine, point, closed, bending_modes), plant)

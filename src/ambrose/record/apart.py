@@ -7,8 +7,6 @@ temporary file, which the parent maps. An HDF5 record is only tried: once the ch
 so will the parent.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

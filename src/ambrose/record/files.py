@@ -6,11 +6,9 @@ it does not know and never alters its source. The formats: record/hdf5_file.py a
 record/files.py. Long runs: record/stream.py. Files of other programs: record/foreign.py.
 """
 
-from __future__ import annotations
-
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any, TextIO
@@ -28,7 +26,13 @@ from ambrose.machine.ordinary_file import (
     draft_of,
 )
 from ambrose.machine.units import quoted
-from ambrose.record.hdf5_file import RecordAttributes, read_attributes, record_of
+from ambrose.record.hdf5_file import (
+    RecordAttributes,
+    read_attributes,
+    read_hdf5,
+    record_of,
+    write_hdf5,
+)
 from ambrose.record.record import Record, si_values, uniform_rate
 from ambrose.record.text_uff import number_block, refuse_encoding, refuse_separators
 
@@ -230,16 +234,17 @@ _SUFFIXES = (".h5", ".hdf5", ".csv")
 _FOREIGN = {".mat", ".tdms", ".txt", ".dat", ".asc", ".uff", ".unv"}
 
 
-def read_record(path: str | Path) -> Record:
+def read_record(path: str | Path | Record) -> Record:
     """The record in an HDF5 (.h5, .hdf5) or CSV (.csv) file, or what an unfinished run has left so
-    far (.partial).
+    far (.partial). A Record is as it is.
 
     Raises InvalidInput with the file's name and what is wrong.
     """
     from ambrose.record.apart import try_record
-    from ambrose.record.hdf5_file import read_hdf5
     from ambrose.record.stream import SUFFIX, read_stream
 
+    if isinstance(path, Record):
+        return path
     path = check_path(path, "record")
     hdf5 = lambda path: read_hdf5(path, lambda: try_record(path))  # noqa: E731
     reader = _by_suffix(path, {".h5": hdf5, ".hdf5": hdf5, ".csv": read_csv, SUFFIX: read_stream})
@@ -250,12 +255,15 @@ def read_record(path: str | Path) -> Record:
         raise InvalidInput(f"{path}: {error}") from error
 
 
+def names_of_files(items: Iterable[Any]) -> tuple[str, ...]:
+    """The names of those that are files."""
+    return tuple(Path(item).name for item in items if isinstance(item, str | os.PathLike))
+
+
 def write_record(record: Record, path: str | Path) -> Path:
     """Write the record as HDF5 (.h5, .hdf5) or CSV (.csv), atomically; returns the path. Raises
     InvalidInput.
     """
-    from ambrose.record.hdf5_file import write_hdf5
-
     path = check_path(path, "record")
     if not isinstance(record, Record):
         raise invalid(

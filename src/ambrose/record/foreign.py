@@ -2,8 +2,6 @@
 read, never changed.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
@@ -15,6 +13,7 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_path, check_positive, invalid
 from ambrose.machine.description import OperatingPoint
+from ambrose.machine.file.toml import read_table, read_toml
 from ambrose.machine.kinds import Name, Quantity, Text, Words
 from ambrose.machine.ordinary_file import NUMBERS
 from ambrose.machine.part import Part
@@ -120,8 +119,6 @@ class ColumnMap(Part):
 
 def load_columns(path: str | Path) -> ColumnMap:
     """The column map in a TOML file. Raises InvalidInput naming file, table and key."""
-    from ambrose.machine.file.toml import read_toml
-
     return read_columns(read_toml(path, "column map"), f"column map {path}")
 
 
@@ -130,7 +127,6 @@ def read_columns(document: Mapping[str, Any], name: str = "column map") -> Colum
     naming table and key.
     """
     from ambrose.machine.file.tables import keys_of, make_table, optional
-    from ambrose.machine.file.toml import read_table
 
     notes = (dict[str, Words], optional("further attributes of the record"))
     model = make_table(

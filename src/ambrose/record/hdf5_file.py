@@ -1,7 +1,5 @@
 """Records as HDF5: attributes at the root, one dataset of float64 per signal under /signals."""
 
-from __future__ import annotations
-
 import errno
 import math
 import sys

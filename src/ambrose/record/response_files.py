@@ -16,8 +16,6 @@ a [[path]] for every quotient, with quantity, read, and source (complex), gain a
 and imag.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -30,6 +28,7 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, check_path, invalid
 from ambrose.core.presentation import json_text
 from ambrose.machine.description import OperatingPoint
+from ambrose.machine.file.toml import read_table, read_toml
 from ambrose.machine.kinds import Choice, Name, Quantity, Words
 from ambrose.machine.ordinary_file import NUMBERS, SIGNALS, check_source, draft_of, parse_json
 from ambrose.machine.part import Part
@@ -119,7 +118,6 @@ class ResponseMap(Part):
 def read_map(document: Mapping[str, Any], name: str = "column map") -> ResponseMap:
     """The map in a parsed TOML document. Raises InvalidInput naming table and key."""
     from ambrose.machine.file.tables import keys_of, make_table
-    from ambrose.machine.file.toml import read_table
 
     model = make_table("ResponseMap", ResponseMap.__doc__ or "", keys_of(ResponseMap), ResponseMap)
     if isinstance(document.get("frequency"), Mapping):
@@ -141,8 +139,6 @@ def read_map(document: Mapping[str, Any], name: str = "column map") -> ResponseM
 
 def maps_responses(columns: str | File) -> bool:
     """Whether a column map is one of responses: whether it has a [[path]]. Raises InvalidInput."""
-    from ambrose.machine.file.toml import read_toml
-
     return "path" in read_toml(columns, "column map")
 
 
@@ -173,12 +169,15 @@ def holds_responses(path: str | File) -> bool:
 
 
 def read_response(
-    path: str | File, columns: ResponseMap | Mapping[str, Any] | str | File | None = None
+    path: str | File | Response,
+    columns: ResponseMap | Mapping[str, Any] | str | File | None = None,
 ) -> Response:
-    """The responses in a file. columns: a map, its document or its TOML file; None for CSV that
-    names its columns, own HDF5 and JSON. Raises InvalidInput with the file's name and what is
-    wrong.
+    """The responses in a file; a Response is as it is. columns: a map, its document or its TOML
+    file; None for CSV that names its columns, own HDF5 and JSON. Raises InvalidInput with the
+    file's name and what is wrong.
     """
+    if isinstance(path, Response):
+        return path
     path = check_path(path, "responses")
     try:
         if columns is None and path.suffix.lower() in {".h5", ".hdf5"}:
@@ -189,8 +188,6 @@ def read_response(
         if columns is None:
             columns = _own_map(path)
         elif isinstance(columns, str | File):
-            from ambrose.machine.file.toml import read_toml
-
             columns = read_map(read_toml(columns, "column map"), f"column map {columns}")
         elif not isinstance(columns, ResponseMap):
             columns = read_map(columns)

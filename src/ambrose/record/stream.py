@@ -6,8 +6,6 @@ that is. First an "H" block: JSON with the attributes, signals and units; then "
 little-endian floats of 8 bytes; "N": JSON with notes that came late.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import struct

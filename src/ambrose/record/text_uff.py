@@ -6,8 +6,6 @@ data row on every row has the same number of cells, and all of them are numbers 
 cannot be told apart is refused, never guessed (machine/file/stations.py).
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager

@@ -2,8 +2,6 @@
 was identified, what runs as code, how it does) and the run-up (every step on the way up).
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

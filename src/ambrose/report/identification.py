@@ -4,8 +4,6 @@ pressure.
     write(seal_page(identify_by_frequency(machine, records)), "seal.html")
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -675,11 +673,7 @@ def static_page(
 ) -> Page:
     """The report of static loads; compared: with another method's; date: ISO (today if empty)."""
     machine, result = checked.given, checked.result
-    tables = [static_table(checked)]
-    if checked.repeats is not None:
-        tables.append(repeats_table(checked.repeats))
-    if compared is not None:
-        tables.append(compared_table(compared))
+    tables = [static_table(checked), *_agreement_tables(checked.repeats, compared)]
     picture = Figure("Force beyond the straight line", line_figure(result), _FIGURE)
     sections = [
         Section("Force per current", "", (picture,), tuple(tables), True),
@@ -1032,6 +1026,14 @@ def seal_lines_table(fit: SealFit) -> Table:
     )
 
 
+def _agreement_tables(
+    repeats: Repeats | None, compared: Sequence[Agreement] | None
+) -> tuple[Table, ...]:
+    """With repeated experiments and with another method, as far as there are such."""
+    with_repeats = () if repeats is None else (repeats_table(repeats),)
+    return with_repeats if compared is None else (*with_repeats, compared_table(compared))
+
+
 def compared_table(rows: Sequence[Agreement]) -> Table:
     """What was found beside what another method had found."""
     cells: list[Row] = []
@@ -1139,11 +1141,7 @@ def identification_page(
     """
     machine, result = checked.given, checked.result
     seal = None if checked.seal is None else checked.seal.fit
-    parameters: list[Table] = [parameters_table(result)]
-    if checked.repeats is not None:
-        parameters.append(repeats_table(checked.repeats))
-    if compared is not None:
-        parameters.append(compared_table(compared))
+    parameters = [parameters_table(result), *_agreement_tables(checked.repeats, compared)]
     change = Figure("Change from the start", change_figure(result), _CHANGE)
     sections = [
         Section("Parameters", capitalised(checked.remarks), (change,), tuple(parameters), True)

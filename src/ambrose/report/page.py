@@ -11,8 +11,6 @@ of result. All text is plain text: it is escaped here. jinja2 and plotly are imp
 functions.
 """
 
-from __future__ import annotations
-
 import gzip
 import itertools
 import math

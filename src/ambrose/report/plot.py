@@ -6,8 +6,6 @@ another package, is recognised by what it carries (candidates, or A, B, C, D). p
 inside the functions.
 """
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Sequence
 from functools import singledispatch

@@ -5,15 +5,13 @@ why; and a record at a glance, in one figure.
     write(record_page(read_record("run.h5"), machine), ...)     a measurement, or a record of a file
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from ambrose.judge.checks import Curve
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import Machine
 from ambrose.record.record import Record
 from ambrose.report import theme
 from ambrose.report.figures.curves import drawn, figure
@@ -612,7 +610,7 @@ def record_page(
     record = source.record if isinstance(source, Trace) else source
     places, speed = stations(record, machine), rotor_speed(record, scenario)
     label = record.point.label or "record"
-    along = isinstance(machine, AxialMachine)
+    along = not machine.lateral
     motion = [_over_time(radius_curve(record, places, machine), label)]
     if not along:  # along the shaft nothing goes around
         motion += _around(record, places, machine, speed)

@@ -1,7 +1,5 @@
 """What several pages share: checks, findings and machine data as tables, verdicts and sentences."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Sequence

@@ -2,8 +2,6 @@
 models, checks; and the caption of a curve, which says what to look at.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

@@ -6,8 +6,6 @@ loop. What they share is the sample, the controller, the power and the scenario;
 is among the radial rig's own forces. The thrust does not move the rotor across its axis, as built.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import replace

@@ -6,8 +6,6 @@ same kind of trace. What only turns or whirls (unbalance, speed, seal pressure) 
 (``Scenario.on``).
 """
 
-from __future__ import annotations
-
 import hashlib
 import time
 from collections.abc import Callable
@@ -218,13 +216,6 @@ def run(
         run_time=time.perf_counter() - prepared,
         compile_time=prepared - begun,
     )
-
-
-def check_scenario(machine: Machine, scenario: Scenario, dt: float) -> None:
-    """Raises InvalidInput for what a run of a scenario on the axis would refuse."""
-    rig: Any = build(machine, machine.operation.nominal, dt)
-    task = plan(rig, scenario, dt, 0)
-    waveforms(scenario, task.inputs, dt, 1, rig.mass)
 
 
 def build(

@@ -29,7 +29,7 @@ from ambrose.core.checks import (
 from ambrose.core.presentation import Presented
 from ambrose.machine.description import BEARING_TERMS
 from ambrose.machine.file.toml import read_toml
-from ambrose.machine.machine import AXIS, AxialMachine, Machine
+from ambrose.machine.machine import AXIS, Machine
 from ambrose.machine.units import DIMENSIONS, Dimension, read_quantity, suggestion
 from ambrose.model.plant import top_speed
 from ambrose.record.record import signal_dimension
@@ -566,21 +566,19 @@ class Scenario(Presented):
         """The same with the machine's bearings and numbers. Raises InvalidInput where it lacks one
         that is asked for.
         """
-        if self.names_thrust and not isinstance(machine, AxialMachine):
+        if self.names_thrust and machine.lateral:
             remedy = "give its axial controller, too (--axial), or take --axes thrust"
             if len(machine.groups) < 2:
                 remedy = f"{machine.name} has no [[thrust_bearing]]; take another scenario"
             raise InvalidInput(f"scenario {self.name} acts along the shaft; {remedy}")
         names = dict.fromkeys(bearing.name for bearing in machine.axis_bearings)
         found = self.at_bearings(list(names), machine)
-        if not isinstance(machine, AxialMachine):
+        if machine.lateral:
             return found
         (axis,) = machine.axes
         chosen = on_thrust if self.names_thrust else along_shaft
         along = {name: chosen(getattr(found, name), axis) for name, _ in _TABLES.values()}
-        still: dict[str, Any] = dict.fromkeys(_ACROSS, ())
-        still |= dict.fromkeys(("speed", "to_speed", "ramp"))
-        left = replace(found, **{**along, **still})
+        left = replace(found, **{**along, **_STILL})
         if not left.acts and self.disturbs:
             acting = [name for name in _bundled_names() if load_scenario(name).acts_along]
             raise InvalidInput(
@@ -599,18 +597,14 @@ class Scenario(Presented):
         """What of it is for the radial axes and what for the one along the shaft, of a machine that
         has both; a failure without an axis is of both. Raises InvalidInput as ``on``.
         """
-        kinds = [name for name, _ in _TABLES.values()]
         across: dict[str, Any] = {}
         along: dict[str, Any] = {}
-        for name in kinds:
+        for name, _ in _TABLES.values():
             items = getattr(self, name)
             across[name] = tuple(item for item in items if not names_thrust(item))
             along[name] = tuple(item for item in items if names_thrust(item))
         along["failures"] += tuple(item for item in self.failures if item.axis is None)
-        for name in _ACROSS:
-            along[name] = ()
-        still: dict[str, Any] = dict.fromkeys(("speed", "to_speed", "ramp"))
-        axial = replace(self, **{**along, **still}).on(machine.axial)
+        axial = replace(self, **{**along, **_STILL}).on(machine.axial)
         return replace(self, **across).on(machine), axial
 
     @property
@@ -660,6 +654,8 @@ class Scenario(Presented):
 
 
 _ACROSS = ("unbalances", "pressures", "pressure_sensors", "speed_changes")  # the shaft
+# what a scenario has of them for the axis along it
+_STILL: dict[str, Any] = dict.fromkeys(_ACROSS, ()) | dict.fromkeys(("speed", "to_speed", "ramp"))
 _TABLES: dict[str, tuple[str, type[Any]]] = {
     "pulse": ("pulses", Pulse),
     "sine": ("sines", Sine),
@@ -1006,7 +1002,7 @@ def _at(item: Any, bearings: Sequence[str]) -> Iterator[Any]:
 
 
 def along_shaft(items: Sequence[Any], axis: str) -> tuple[Any, ...]:
-    """The same on the one axis of ``AxialMachine``: what is along a bearing's first direction acts
+    """The same on the one axis along the shaft: what is along a bearing's first direction acts
     on it, what is along its second one on nothing.
     """
     name, found = axis.removesuffix(AXIS), []

@@ -5,8 +5,6 @@ The key phasor's pulses are those of the scenario's speed, to which the rig turn
 without pulses are drop-outs. What the blocks did is kept, every so many samples.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """Trace: what a simulation returns, a Record and how it ended."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -44,7 +44,7 @@ from ambrose.law.loop import (
 )
 from ambrose.law.supervision import check_pair, supervised, supervision_limits
 from ambrose.machine.description import OperatingPoint, Tolerance
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble, bending_modes_of, judged_bending
 from ambrose.model.effects.rotor import mass_properties
 from ambrose.model.plant import Plant, beyond_top_speed
@@ -161,7 +161,7 @@ def _one_group(
     """``simulate_scenario`` of one group of axes."""
     fallback = asked.fallback
     rig["second"] = asked.second
-    across = events.across if isinstance(described, AxialMachine) else ()
+    across = () if described.lateral else events.across
     events, where = events.on(described), chosen_point(described, point)
     timing = timing_of(described, law, asked.rate, asked.delay_samples)
     blocks = blocks_of(described, law)

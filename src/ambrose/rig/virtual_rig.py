@@ -5,12 +5,11 @@ amplifiers, log, integrate. The machine between the samples is the rotor in free
 contact, coupling, seal, weight and unbalance forces.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
 from ambrose.law.law import PRESSURE, SPEED, ControlProgram, Law, LawLike, law_of
 from ambrose.law.loop import DEFAULT, Timing, machine_timing
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import Machine
 from ambrose.rig import axial_rig
 from ambrose.rig.engine.controller import (
     NO_PROGRAM,
@@ -59,11 +58,9 @@ def check_scenario(machine: Machine, scenario: Scenario, dt: float) -> None:
     without running it.
     """
     scenario = scenario.on(machine)
-    if isinstance(machine, AxialMachine):
-        axial_rig.check_scenario(machine, scenario, dt)
-        return
-    task = plan(build(machine), scenario, dt, 0)
-    waveforms(scenario, task.inputs, dt, 1, task.rig.mass)
+    along, at = not machine.lateral, machine.operation.nominal
+    rig: Any = axial_rig.build(machine, at, dt) if along else build(machine)
+    waveforms(scenario, plan(rig, scenario, dt, 0).inputs, dt, 1, rig.mass)
 
 
 def run(
@@ -102,7 +99,7 @@ def run(
     run goes on; "diverged" means that the state overflowed, and the record ends before. Raises
     InvalidInput, and NumericalFailure where there is no levitated state to start from.
     """
-    if isinstance(machine, AxialMachine):
+    if not machine.lateral:
         return axial_rig.run(
             machine,
             controller,

@@ -1,7 +1,5 @@
 """A controller by a method: designed on the reduced plant, then certified on the full one."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress

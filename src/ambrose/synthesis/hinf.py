@@ -22,7 +22,7 @@ from ambrose.core.checks import (
     named_failure,
 )
 from ambrose.core.frequency import frequency_response
-from ambrose.core.hinf_lmi import lower_bound, shown_bound
+from ambrose.core.hinf_lmi import lmi_controller, lower_bound, shown_bound, smallest_gamma
 from ambrose.core.hinf_riccati import (
     Assumptions,
     GammaSearch,
@@ -268,7 +268,6 @@ def _by_lmi(job: _Job, scaled: ScaledPlant, epsilon: float) -> _Design:
     """The smallest gamma of the matrix inequalities, then the first verified controller at growing
     back-offs.
     """
-    from ambrose.core.hinf_lmi import lmi_controller, smallest_gamma
 
     def time_left() -> float:
         job.check_time()

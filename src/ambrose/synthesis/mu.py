@@ -27,7 +27,7 @@ from ambrose.core.checks import (
     named_failure,
 )
 from ambrose.core.hinf_riccati import check_plant
-from ambrose.core.lft import Block, FullBlock, GeneralizedPlant, design_grid, lft
+from ambrose.core.lft import Block, GeneralizedPlant, design_grid, lft
 from ambrose.core.mu.all_frequencies import proved_below
 from ambrose.core.mu.bounds import mu_bounds
 from ambrose.core.norms import hinf_norm
@@ -257,7 +257,7 @@ class _Iterate:
 
 def _start(job: _Job) -> StateSpace:
     """H-infinity for the nominal plant; where that fails, for the whole one without scaling."""
-    if isinstance(job.plant.blocks[-1], FullBlock):
+    if job.plant.blocks[-1].full:
         try:
             return _k_step(job, _performance_only(job.plant), job.backoff).controller
         except NumericalFailure as failure:
@@ -423,7 +423,7 @@ def _mu(job: _Job, step: DStep) -> dict[str, float]:
     # The D-step's bound holds for d I on repeated blocks, thus also for full D there, and for
     # mixed mu: a ceiling that spares frequencies.
     complex_peak = step.peak
-    if any(not isinstance(b, FullBlock) and b.repeat > 1 for b in blocks):
+    if any(b.repeat > 1 for b in blocks):
         complex_peak, ceiling, _ = peak_below(step, blocks, ceiling, g_scaling=False)
     mixed, values, known = peak_below(step, blocks, ceiling, g_scaling=True)
     # the lower bound where the upper one is highest

@@ -677,7 +677,7 @@ def d_blocks(blocks: Sequence[Block], structure: Literal["scalar", "full"]) -> l
     """
     result: list[Block] = []
     for block in blocks:
-        if isinstance(block, FullBlock):
+        if block.full:
             result.append(block)
         elif structure == "scalar":
             result.append(FullBlock(block.name, block.n_w, block.n_z))
@@ -725,10 +725,7 @@ def d_step(loop: StateSpace, blocks: Sequence[Block], grid: np.ndarray, rounds: 
 
 
 def _matrix_scaled(structure: Structure) -> bool:
-    return any(
-        isinstance(place.block, ComplexBlock) and place.block.repeat > 1
-        for place in structure.places
-    )
+    return any(place.block.repeat > 1 and not place.block.real for place in structure.places)
 
 
 def _bound(
@@ -863,7 +860,7 @@ def _fit(step: DStep, orders: Sequence[int]) -> FittedScaling:
         parts: list[BlockScaling] = []
         for place, n in zip(places, orders, strict=True):
             D = step.D_w[:, place.w, place.w]
-            if isinstance(place.block, ComplexBlock) and place.block.repeat > 1:
+            if place.block.repeat > 1 and not place.block.real:
                 parts.append(fit_matrix(step.omega, D @ D, n, weight))
             elif place is places[-1]:
                 parts.append(scalar_scaling(place.block, constant(1.0)))

@@ -6,8 +6,6 @@ sensitivity of the sampled loop over the tolerances (``sampled_sensitivity``): w
 controller is worth is not read off its Hankel values.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 

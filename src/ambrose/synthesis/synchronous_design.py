@@ -20,8 +20,6 @@ constant.
    its limit, and proved again. Parts that are unstable at corners of the tolerances are left out.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -474,8 +472,6 @@ def check_request(asked: Rejecting, method: str, machine: Machine) -> None:
     """What can be refused of a block that is asked for beside a design, before that. Raises
     InvalidInput.
     """
-    if asked.synchronous is None:
-        return
     if method == "lpv":
         raise invalid(
             "synchronous",

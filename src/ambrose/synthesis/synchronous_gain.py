@@ -1,9 +1,8 @@
 """eps of a synchronous block: what the exact poles and the sensitivity beside the speed allow."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 
@@ -190,19 +189,16 @@ def usable_tables(
     speeds = sorted(known)
     good = [known[w][1] >= _ANGLE for w in speeds]
     parts: list[tuple[tuple[float, float], BlockTable, Forbidden | None]] = []
-    k = 0
-    while k < len(speeds):
-        end = k
-        while end + 1 < len(speeds) and good[end + 1] == good[k]:
-            end += 1
-        if good[k]:
-            if end > k:
-                chosen = speeds[k : end + 1]
+    for is_good, alike in groupby(range(len(speeds)), good.__getitem__):
+        numbers = [*alike]
+        chosen = [speeds[k] for k in numbers]
+        if is_good:
+            if len(chosen) > 1:
                 table = BlockTable(np.array(chosen), np.array([known[w][0] for w in chosen]))
                 parts.append(((chosen[0], chosen[-1]), table, None))
         else:
-            ends = speeds[max(k - 1, 0)], speeds[min(end + 1, len(speeds) - 1)]
-            worst = min(speeds[k : end + 1], key=lambda w: known[w][1])
+            ends = speeds[max(numbers[0] - 1, 0)], speeds[min(numbers[-1] + 1, len(speeds) - 1)]
+            worst = min(chosen, key=lambda w: known[w][1])
             reason = f"no T converges at all pressures with {np.degrees(_ANGLE):.0f} deg to spare"
             limit = orbit_limit(loop.machine, worst)
             parts.append(
@@ -214,7 +210,6 @@ def usable_tables(
                     ),
                 )
             )
-        k = end + 1
     return parts
 
 

@@ -6,8 +6,6 @@ everything else is then met as asked, and sigma_max(S_o) stands at what is left.
 from the controller of the one before it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast

@@ -11,7 +11,6 @@ from ambrose.identification import pipeline
 from ambrose.identification.findings import Code
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.output_error.statistics import ResidualTest
-from ambrose.identification.parameters import magnet_paths
 from ambrose.identification.validation.plausibility import _bursts, _tone, diagnose_result
 from ambrose.identification.validation.repeatability import SimulatedOutput
 from ambrose.machine.description import OperatingPoint, Tolerance
@@ -78,7 +77,7 @@ def test_a_lag_far_from_the_file_s_names_the_filter_that_the_file_lacks(factor, 
 
 def magnets(ki, ks, deviation=0.002, machine="three-bearing-train"):
     """K_i and K_s of every bearing and axis as multiples of the file's, in its order."""
-    paths = magnet_paths(load_machine(machine))
+    paths = load_machine(machine).magnet_paths
     values = np.array([*ki, *ks], float)
     one = np.eye(len(paths))
     return ParameterEstimate(

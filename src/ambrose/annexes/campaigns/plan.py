@@ -14,8 +14,6 @@
 The words before the first dot of a path say what it changes: see ``plan.py``.
 """
 
-from __future__ import annotations
-
 import copy
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """What a campaign gave: its rows as columns, as an xarray Dataset, as a table."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math
@@ -16,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ambrose.annexes.campaigns.plan import Plan, Subject, Value, number_of
-from ambrose.annexes.campaigns.run import PEAK, ROWS, checks_of, rows_of, run
+from ambrose.annexes.campaigns.plan import Plan, Subject, Value, number_of, plan_of, read_plan
+from ambrose.annexes.campaigns.run import PEAK, ROWS, checks_of, executors, rows_of, run, run_plan
 from ambrose.core.checks import InvalidInput, check_shape, invalid
 from ambrose.core.presentation import Presented, data_frame, in_words
 from ambrose.machine.machine import Machine
@@ -358,8 +356,6 @@ def campaign(
     process dies is none of the results: ``missing`` counts it, and the next call computes it.
     Raises InvalidInput, and NumericalFailure where the workers die before they return anything.
     """
-    from ambrose.annexes.campaigns.plan import Plan, plan_of, read_plan
-    from ambrose.annexes.campaigns.run import executors, run_plan
     from ambrose.core.processes import processors
 
     if isinstance(plan, Plan):

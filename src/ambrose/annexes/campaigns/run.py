@@ -6,8 +6,6 @@ line cut off by a kill is dropped. Only keys are held in memory, and few blocks 
 time.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import multiprocessing
@@ -674,7 +672,6 @@ def _foreign(path: Path) -> InvalidInput:
 def bases_of(plan: Plan, progress: Progress = lambda stage: None) -> Bases:
     """Machines, controllers and scenarios of a plan, read or designed once. Raises InvalidInput."""
     from ambrose.judge.controller_file import read_controller
-    from ambrose.model.assemble import assemble
     from ambrose.rig.scenario import bundled_scenarios, load_scenario, scenario_text
     from ambrose.synthesis.design import design
 

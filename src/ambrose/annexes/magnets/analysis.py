@@ -1,7 +1,5 @@
 """The sheet of every magnet with a geometry."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar

@@ -1,7 +1,5 @@
 """``ambrose.lateral``: the lateral analysis of a rotor with its bearings, seals and controller."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -50,7 +48,6 @@ from ambrose.judge.unbalance import orbit, together
 from ambrose.law.law import Law, LawLike, law_of
 from ambrose.law.loop import Timing, running_law, timing_of
 from ambrose.law.synchronous import at_bearings
-from ambrose.machine.attachment import attached
 from ambrose.machine.criteria import SENSITIVITY, SENSITIVITY_RANGE
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
@@ -814,7 +811,7 @@ def _slowest(machine: Machine, trip: float) -> float:
     """Where response curves begin [rad/s]: at a share of the trip speed, or where the last of the
     journal bearings' tables does.
     """
-    tables = [part.speed for _, part in attached(machine) if isinstance(part, JournalBearing)]
+    tables = [part.speed for part in machine.parts(JournalBearing)]
     return max([_SLOWEST * trip, *(table[0] for table in tables if table)])
 
 
@@ -863,12 +860,12 @@ def _level_one(
     """Level I of the machine without seals and stages, its modes up to a frequency [rad/s]; None
     and why where it cannot be done; notes.
     """
-    stages = [part for _, part in attached(machine) if isinstance(part, Stage)]
+    stages = machine.parts(Stage)
     bare = replace(
         machine,
         seals=(),
         tolerances=(),
-        effects=tuple(part for part in machine.effects if not isinstance(part, Stage)),
+        effects=tuple(part for part in machine.effects if part not in stages),
         supports=tuple(replace(support, seals=()) for support in machine.supports),
     )
     anticipated = sum(rated_cross_coupling(stage) for stage in stages) or None
@@ -895,7 +892,7 @@ def layout_of(machine: Machine, layout: Layout) -> Layout:
     return replace(layout, machine=machine)
 
 
-def _stations_of_coupling(layout: Layout, stages: list[Stage]) -> list[int]:
+def _stations_of_coupling(layout: Layout, stages: Sequence[Stage]) -> list[int]:
     """Mid-span; or each overhung impeller where all impellers are overhung."""
     places = [journal.position for journal in layout.journals]
     overhung = [s for s in stages if not min(places) <= s.position <= max(places)]

@@ -7,8 +7,6 @@ and, within what unbalance takes, the forces of seals and stages at trip, which 
 the magnets.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -32,7 +30,6 @@ from ambrose.judge.unbalance import (
 )
 from ambrose.law.law import LawLike
 from ambrose.law.loop import Timing
-from ambrose.machine.attachment import attached
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import seal_coefficients
@@ -309,9 +306,8 @@ def _components_at(loop: ShaftLoop, response: UnbalanceResponse) -> list[list[De
     every axis by a lever: part of what unbalance takes.
     """
     machine, w = loop.plant.machine, loop.point.speed
-    stages = {part.name for _, part in attached(machine) if isinstance(part, Stage)}
-    places = {item.name: item.position for item in machine.seals}
-    places |= {part.name: part.position for _, part in attached(machine) if part.name in stages}
+    stages = {stage.name: stage.position for stage in machine.parts(Stage)}
+    places = {item.name: item.position for item in machine.seals} | stages
     stations = len(response.layout.positions)
     largest: dict[str, np.ndarray] = {}
     for case in response.cases:

@@ -6,8 +6,6 @@ of the speed, so that all pairs together lie as near as they can (each of ours i
 none further away than ``NEAR``.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import sys

@@ -18,8 +18,6 @@ with S the sensor, C the law as it runs (sampled, late, held), i = A u + E q' th
 modulus is drawn over the map; the real part is the spring in it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -30,7 +28,6 @@ from ambrose.annexes.rotordynamics.loop import ShaftLoop
 from ambrose.annexes.rotordynamics.stations import Layout, rigid_support_critical
 from ambrose.core.frequency import frequency_response
 from ambrose.law.law import SPEED, LawLike, law_of
-from ambrose.machine.attachment import attached
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import in_plane, modes_of
 from ambrose.model.effects import amplifier, sensor
@@ -237,9 +234,7 @@ def dynamic_stiffness(
 
 def _films(layout: Layout, omega: np.ndarray) -> Iterator[Support]:
     """K_xx and K_yy of every journal bearing at the speeds that its table covers."""
-    for _, part in attached(layout.machine):
-        if not isinstance(part, JournalBearing):
-            continue
+    for part in layout.machine.parts(JournalBearing):
         ends = (part.speed[0], part.speed[-1]) if part.speed else (0.0, np.inf)
         speeds = omega[(omega >= ends[0]) & (omega <= ends[1])]
         tables = [coefficients(part, float(speed))[0] for speed in speeds]

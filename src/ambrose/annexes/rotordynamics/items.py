@@ -2,8 +2,6 @@
 capacity, then the standards for magnetic bearings clause by clause.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

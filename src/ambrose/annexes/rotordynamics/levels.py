@@ -12,8 +12,6 @@ delta = -2 pi sigma/omega is therefore a sum, delta_c = -pi P_c/(omega E). Gyros
 work; the negative stiffness of a magnet belongs to the magnet.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 write(lateral_page(lateral(machine, controller)), "lateral.html")
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -1117,9 +1115,7 @@ def capacity_table(result: Lateral) -> Table:
 def load_table(machine: Machine) -> tuple[Table, ...]:
     """What the machine file says that the magnets must carry; nothing where it says nothing."""
     rows: list[Row] = []
-    for part in machine.effects:
-        if not isinstance(part, Load):
-            continue
+    for part in machine.parts(Load):
         time = "sustained"
         if part.duration is not None:
             time = f"half-sine of {theme.quantity(part.duration, 's')}"

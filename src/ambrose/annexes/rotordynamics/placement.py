@@ -10,8 +10,6 @@ speed, so that the mode is excited as strongly as the amounts allow (recalled, s
 Antinodes below 10 % of the largest get nothing.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The lateral analysis as data: what ``lateral.json`` holds and the page is made of."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar

@@ -6,8 +6,6 @@ it says "recalled". Units are those of the standard where its constants carry th
 N [rpm], amounts [g mm], amplitudes [um] peak to peak.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ The rotor's motion is read in its modes, anywhere along the shaft, so that the p
 machine's own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -13,7 +11,6 @@ import numpy as np
 from scipy.linalg import eigvalsh, null_space
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.attachment import attached
 from ambrose.machine.machine import Machine
 from ambrose.machine.ordinary_file import FINE_MESH_MODES
 from ambrose.model.effects.rotor import displacement_row, finite_element_rotor, free_modes
@@ -116,9 +113,8 @@ def _distinct(places: np.ndarray, slack: float) -> np.ndarray:
 
 def journals_of(machine: Machine) -> tuple[Journal, ...]:
     """The radial bearings in order along the shaft, each with the weight [kg] that it carries."""
-    oil = [part for _, part in attached(machine) if isinstance(part, JournalBearing)]
     found = [(b.name, b.position, True) for b in machine.bearings]
-    found += [(part.name, part.position, False) for part in oil]
+    found += [(oil.name, oil.position, False) for oil in machine.parts(JournalBearing)]
     found.sort(key=lambda item: item[1])
     if not found:
         return ()
@@ -151,9 +147,8 @@ def _readings(machine: Machine) -> Iterator[Reading]:
         angle = pair.angle or 0.0
         for axis, turn in (("zeta", 0.0), ("eta", np.pi / 2)):
             yield Reading(f"{pair.bearing} {axis}", pair.position, angle + turn)
-    for _, part in attached(machine):
-        if isinstance(part, Probe):
-            yield Reading(part.name, part.position, part.direction)
+    for probe in machine.parts(Probe):
+        yield Reading(probe.name, probe.position, probe.direction)
 
 
 def _gaps(machine: Machine) -> Iterator[Gap]:
@@ -184,6 +179,5 @@ def _gaps(machine: Machine) -> Iterator[Gap]:
         ]
         if sides:
             yield Gap(f"seal {seal.name}", "seal", seal.position, 2 * min(sides), CLEARANCE_SHARE)
-    for _, part in attached(machine):
-        if isinstance(part, Clearance):
-            yield Gap(part.name, "clearance", part.position, part.diametral, part.limit_share)
+    for part in machine.parts(Clearance):
+        yield Gap(part.name, "clearance", part.position, part.diametral, part.limit_share)

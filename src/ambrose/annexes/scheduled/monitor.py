@@ -4,16 +4,13 @@ its parts, and what it says.
 write(monitor_page(monitor(machine, controller, record), machine), "page.html")
 """
 
-from __future__ import annotations
-
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ambrose.annexes.scheduled.seal_monitor import Direction, SealHistory
-from ambrose.annexes.scheduled.seal_watch import OLD, WIDE, SealMonitor
+from ambrose.annexes.scheduled.seal_watch import OLD, WIDE, SealMonitor, monitor as watch
 from ambrose.api import controller_of, machine_of
 from ambrose.code.block.block import as_comment, render
 from ambrose.code.c.code import integer_table, real_table
@@ -36,12 +33,11 @@ def monitor(machine: Machine | str, controller: Any, record: Any, **options: Any
     the file's value per s]; doubts; bending_modes; harmonics; computing_delay; progress. Raises
     InvalidInput.
     """
-    from ambrose.annexes.scheduled.seal_watch import monitor as watch
     from ambrose.record.files import read_record
 
     watched = machine_of(machine)
     loaded = controller_of(controller, watched)
-    measured = read_record(Path(record)) if isinstance(record, str | os.PathLike) else record
+    measured = read_record(record)
     law = loaded if loaded.nominal is None else loaded.nominal
     return watch(watched, law, measured, **options)
 

@@ -5,8 +5,6 @@ The proof is of the model of scheduled/moving_model.py, with as many bending mod
 agree with the full plant's sensitivities at constant pressure.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace

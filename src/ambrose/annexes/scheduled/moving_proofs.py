@@ -1,7 +1,5 @@
 """The proofs along a moving speed and a moving pressure, as the judge asks for them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

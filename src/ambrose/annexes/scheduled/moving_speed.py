@@ -10,8 +10,6 @@ at steady speeds. Of a continuous loop the matrices are polynomials between valu
 (annexes/scheduled/varying_cells.py).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache

@@ -2,8 +2,6 @@
 pressure, excitation.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Mapping, Sequence

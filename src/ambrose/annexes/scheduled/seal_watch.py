@@ -8,8 +8,6 @@ jump) both begin anew. "alone", the estimate is told in place of a reading: a me
 pressures that change slowly.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -28,7 +26,7 @@ from ambrose.annexes.scheduled.seal_monitor import (
     findings_of,
     seal_model,
 )
-from ambrose.core.checks import InvalidInput, check_positive, invalid, names_wrong_types
+from ambrose.core.checks import InvalidInput, as_several, check_positive, invalid, names_wrong_types
 from ambrose.core.response import simulate
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.data_quality.controller import DOUBTS
@@ -322,8 +320,8 @@ def seal_monitor(
         rate, "rate", "say how fast the seal may change per second, such as 0.01", zero_allowed=True
     )
     watched = _watched(machine, seal)
-    names = (unknown,) if isinstance(unknown, str) else unknown
-    paths = [f"seal.{watched.name}.{quantity}" for quantity in names or _usual(watched)]
+    names = as_several(unknown) or _usual(watched)
+    paths = [f"seal.{watched.name}.{quantity}" for quantity in names]
     model = seal_model(
         machine,
         controller,

@@ -19,8 +19,6 @@ for every frozen delta and p; it is positive for delta = 0, where the loop is st
 become singular on the way to another delta.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

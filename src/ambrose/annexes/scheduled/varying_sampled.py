@@ -20,8 +20,6 @@ Autom. Control 14; the function: Wu, Yang, Packard & Becker 1996, Int. J. Robust
 6.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product

@@ -11,8 +11,6 @@ accepted = accept(machine, controller, ["standstill.h5", "running.h5"])
 From an analyser's responses S comes as they are (judge/measured.py), with the same checks.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.checks import InvalidInput, as_several, invalid
 from ambrose.core.frequency import frequency_response
 from ambrose.core.presentation import Presented
 from ambrose.core.sampling import c2d
@@ -381,7 +379,7 @@ def accept(
     multiples of the speed up to which unbalance and run-out are taken out. delay_samples: of the
     controller (None: as it or the machine file says). Raises InvalidInput.
     """
-    several = [records] if isinstance(records, Measured) else list(records)
+    several = as_several(records)
     if not several:
         raise InvalidInput(
             "no record was given; record y_<axis> with an excitation e_<axis> or r_<axis> on "
@@ -390,11 +388,7 @@ def accept(
     names = tuple(_named(item, number) for number, item in enumerate(several, 1))
     if responses := as_responses(several):
         return _accept_responses(machine, controller, responses, delay_samples, names)
-    read = [
-        item if isinstance(item, Record) else read_record(item)
-        for item in several
-        if not isinstance(item, Response)
-    ]
+    read = [read_record(item) for item in several]
     points: dict[OperatingPoint, list[Record]] = {}
     for number, record in enumerate(read, 1):
         _check(machine, record, number)

@@ -9,8 +9,6 @@ weighs by its noise and by a common relative error of the model, as large as the
 (Paule & Mandel 1982): speeds with large vibration do not outvote the others for their small noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.core.checks import InvalidInput, as_several, check_positive, invalid
 from ambrose.core.frequency import frequency_response
 from ambrose.core.presentation import Presented
 from ambrose.core.sampling import hold
@@ -548,16 +546,13 @@ def balance(
         check_positive(r, f"the radius of plane {name}", "give it in m")
         for name, r in planes.items()
     )
-    several = [records] if isinstance(records, Record | str | Path) else list(records)
+    several = as_several(records)
     if not several:
         raise InvalidInput(
             "no record of the rotor without trial weights is given; record it as it is first"
         )
-    read = [item if isinstance(item, Record) else read_record(item) for item in several]
-    tried = [
-        (item if isinstance(item, Record) else read_record(item), _weights(given, names))
-        for item, given in trials
-    ]
+    read = [read_record(item) for item in several]
+    tried = [(read_record(item), _weights(given, names)) for item, given in trials]
 
     # what the records show of themselves, and of the controller where it is known
     every = [*read, *(record for record, _ in tried)]

@@ -8,8 +8,6 @@ A bias that the machine file knows nothing of begins at the square law, k_i in p
 bias, k_s to its square.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,7 +23,7 @@ from ambrose.identification.pipeline import identify
 from ambrose.identification.result import Identification
 from ambrose.machine.description import BiasPoint, MagneticBearing
 from ambrose.machine.machine import Machine
-from ambrose.record.files import read_record
+from ambrose.record.files import names_of_files, read_record
 from ambrose.record.record import Record
 
 UNKNOWN = ("bearing.*.force_per_current.*", "bearing.*.negative_stiffness.*")
@@ -150,13 +148,13 @@ def identify_over_bias(
             "loads"
         )
     own, laws = _own_bias(machine), dict(controllers or {})
-    names = tuple(Path(item).name for item in (*records, *loads) if not isinstance(item, Record))
+    names = names_of_files((*records, *loads))
 
     # by bias current: (closed-loop records, records of static loads)
     groups: dict[float, tuple[list[Record], list[Record]]] = {}
     for place, several in enumerate((records, loads)):
         for item in several:
-            record = item if isinstance(item, Record) else read_record(item)
+            record = read_record(item)
             bias = own if record.point.bias_current is None else record.point.bias_current
             if bias is None:
                 raise InvalidInput(

@@ -10,8 +10,6 @@ run-out, magnetic centre.
   is; at several bias currents the weight as well.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +18,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ambrose.annexes.site.balancing import NONE, influence, revolution, source_of_currents
-from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.checks import InvalidInput, as_several, invalid
 from ambrose.core.presentation import Presented
 from ambrose.core.statespace import select
 from ambrose.identification.findings import signal_rows
@@ -110,16 +108,14 @@ def calibrate(
         raise invalid(
             "find", repr(find), '"gain" or "clearance"', "the other of the two must be known"
         )
-    several = [levitated] if isinstance(levitated, Record | str | Path) else list(levitated)
+    several = as_several(levitated)
     if circle is None and slow_roll is None and not several:
         raise InvalidInput(
             "no test was given; give a record of a static circle, of slow roll or of the "
             "levitated rotor"
         )
     around = None if circle is None else _read(circle, settle)
-    rolling = (
-        slow_roll if isinstance(slow_roll, Record) or slow_roll is None else read_record(slow_roll)
-    )
+    rolling = None if slow_roll is None else read_record(slow_roll)
     levitated_records = [_read(item, settle) for item in several]
     calibrated = machine
     before: dict[str, float] = {}
@@ -153,7 +149,7 @@ def calibrate(
 
 
 def _read(item: Files, settle: float) -> Record:
-    record = item if isinstance(item, Record) else read_record(item)
+    record = read_record(item)
     return record.between(record.start_time + settle, np.inf)
 
 

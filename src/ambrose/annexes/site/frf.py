@@ -8,8 +8,6 @@ controller need be known. References give y/r and S_o = 1 - y/r; forces f_<port>
 found = respond(machine, ["chirp.h5"])
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -19,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.annexes.site.acceptance import phase_margin, share, telling, where
-from ambrose.core.checks import InvalidInput
+from ambrose.core.checks import InvalidInput, as_several
 from ambrose.core.frequency import FrequencyResponse, frequency_response
 from ambrose.core.presentation import Presented
 from ambrose.core.statespace import StateSpace, select
@@ -42,7 +40,7 @@ from ambrose.machine.criteria import TWO_PI
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
-from ambrose.record.files import read_record
+from ambrose.record.files import names_of_files, read_record
 from ambrose.record.record import Record
 from ambrose.record.response import Path as MeasuredPath, Response
 
@@ -224,12 +222,11 @@ def respond(
     kept; harmonics: multiples of the speed taken out; settle [s]: left out of each sine. Raises
     InvalidInput.
     """
-    several = [records] if isinstance(records, Record | str | Path) else list(records)
+    several = as_several(records)
     if not several:
         raise InvalidInput("no record was given; record y_<axis> with an excitation e_<axis>")
     progress(f"reading {len(several)} record{'s' * (len(several) > 1)}")
-    read = [item if isinstance(item, Record) else read_record(item) for item in several]
-    names = tuple(Path(item).name for item in several if not isinstance(item, Record))
+    read, names = [read_record(item) for item in several], names_of_files(several)
     findings: list[Finding] = []
     for number, record in enumerate(read, 1):
         missing = [f"y_{axis}" for axis in machine.axes if f"y_{axis}" not in record.signals]

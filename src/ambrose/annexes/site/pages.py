@@ -4,8 +4,6 @@ what replaces it, how it was tried.
 write(retuning_page(retune(machine, records, controller, folder)), "retuning.html")
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Retuning on site: from a record of the running machine to the change that is signed."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -24,6 +22,7 @@ from ambrose.core.checks import (
     InvalidInput,
     NumericalFailure,
     UnstableSystem,
+    as_several,
     invalid,
 )
 from ambrose.core.presentation import Presented, to_plain
@@ -374,7 +373,7 @@ def retune(
     folder = Path(directory)
     with claimed(folder, "folder"):
         make_folder(folder)
-        wanted = (unknown,) if isinstance(unknown, str) else tuple(unknown)
+        wanted = as_several(unknown)
         began = _begun(folder, given, running, names, (*wanted, f"{bending_modes} modes"))
         responses = tuple(item for item in measured if isinstance(item, Response))
         chain = _Chain(given, running, timing, folder, progress, began, [], {}, responses)
@@ -383,27 +382,19 @@ def retune(
         _identified(chain, measured, files, fit, changed=changed)
         if chain.steps[-1].passed is not False and _needed(chain, anyway):
             _changed(chain)
-        if chain.steps[-1].passed is not False and not _none_given(accept_from):
+        if chain.steps[-1].passed is not False and as_several(accept_from):
             _accepted(chain, accept_from)
         return chain.keep()
-
-
-def _none_given(records: Records) -> bool:
-    return isinstance(records, Sequence) and not isinstance(records, str) and not len(records)
 
 
 def _read(
     records: Records,
 ) -> tuple[tuple[Record | Response, ...], tuple[tuple[str, str], ...]]:
     """The records, or responses, each with its name and SHA-256."""
-    several = [records] if isinstance(records, Measured) else list(records)
+    several = as_several(records)
     if not several:
         raise InvalidInput("no record was given; record the machine running, with an excitation")
-    read: tuple[Record | Response, ...] = as_responses(several) or tuple(
-        item if isinstance(item, Record) else read_record(item)
-        for item in several
-        if not isinstance(item, Response)
-    )
+    read: tuple[Record | Response, ...] = as_responses(several) or tuple(map(read_record, several))
     names = []
     for number, (item, record) in enumerate(zip(several, read, strict=True), 1):
         if isinstance(record, Response):

@@ -6,8 +6,6 @@ robust performance". Control action is taken as the largest gain of K S_o [A/m] 
 frequencies: what a micrometre of motion costs in current.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar

@@ -4,8 +4,6 @@ lacks.
 write(sizing_page(size(machine)), "size.html")
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a landing will be like: whirl before any simulation, one drop, and many of them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -108,11 +106,7 @@ def state_at(
         )
     rows = fallen.sensor_rows
     if kind == "q":
-        turned = []
-        for bearing, (x, y) in zip(machine.bearings, fallen.rows, strict=True):
-            c, s = math.cos(bearing.angle), math.sin(bearing.angle)
-            turned += [c * x + s * y, c * y - s * x]
-        rows = np.array(turned)
+        rows = _along_magnets(machine, fallen)
     # around it a parabola and the orbit: a + b t + c t^2 + d cos W t + e sin W t
     window = slice(at - around, at + around + 1)
     t = record.time[window] - record.time[at]
@@ -155,6 +149,15 @@ class RunDown:
         """Plain data, SI; a time that never ends is null."""
         time = self.time if np.isfinite(self.time) else None
         return {"time": time, "slip_energy": self.slip, "taken_by_drive_and_windage": self.taken}
+
+
+def _along_magnets(machine: Machine, fallen: FallenRotor) -> np.ndarray:
+    """Displacements (axes, n) at the bearings along the magnets, from the rotor's coordinates."""
+    turned = []
+    for bearing, (x, y) in zip(machine.bearings, fallen.rows, strict=True):
+        c, s = math.cos(bearing.angle), math.sin(bearing.angle)
+        turned += [c * x + s * y, c * y - s * x]
+    return np.array(turned)
 
 
 def run_down(fallen: FallenRotor, speed: float, brake: float, windage: float) -> RunDown:
@@ -297,11 +300,7 @@ def held_states(
     states = np.zeros(len(law.A))
     if not law.slow:
         return states
-    rows = []
-    for bearing, (x, y) in zip(machine.bearings, fallen.rows, strict=True):
-        c, s = math.cos(bearing.angle), math.sin(bearing.angle)
-        rows += [c * x + s * y, c * y - s * x]
-    rigid = np.array(rows)[:, :4]
+    rigid = _along_magnets(machine, fallen)[:, :4]
     force = np.linalg.lstsq(rigid.T, -fallen.weight[:4], rcond=None)[0]
     currents = force / magnet_coefficients(machine, point)[0]
     states[: law.slow] = np.linalg.lstsq(law.C[:, : law.slow], currents, rcond=None)[0]

@@ -5,8 +5,6 @@ them. A drop that turns three times against its spin without going back is said 
 the simulated motion, not a statement on stability.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable
@@ -29,7 +27,6 @@ from ambrose.annexes.touchdown.drop import (
     slip_of,
 )
 from ambrose.core.checks import NumericalFailure
-from ambrose.machine.attachment import attached
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.part import Touchdown, TouchdownLimits
@@ -250,11 +247,9 @@ def axial_drops(
     rotor's; duration [s]: looked at.
     """
     found = []
-    for _, part in attached(machine):
-        if not isinstance(part, ThrustBearing) or part.touchdown_gap is None:
-            continue
+    for part in machine.parts(ThrustBearing):
         thrust = sum(load.force for load in part.loads if load.point == point.label)
-        if thrust:
+        if thrust and part.touchdown_gap is not None:
             found.append(axial_drop(part, mass, thrust, duration))
     return tuple(found)
 

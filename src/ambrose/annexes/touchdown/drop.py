@@ -8,8 +8,6 @@ and friction that slow the rotor. Not modelled: wear, oil films, heat that chang
 clearance, motion along the axis (campaign.py has it), the reaction of unbalance on the spin.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from dataclasses import dataclass
@@ -21,7 +19,6 @@ import numpy as np
 
 from ambrose.annexes.touchdown.drop_kernel import Case, Rig, SampledLaw, Work
 from ambrose.core.checks import InvalidInput, NumericalFailure
-from ambrose.machine.attachment import attached
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import attached_rotor, modes_of
@@ -201,9 +198,8 @@ def seal_gaps(machine: Machine) -> list[tuple[str, float, float]]:
         gaps = [gap for gap in sides if gap]
         if gaps:
             found.append((f"seal {seal.name}", seal.position, min(gaps)))
-    for _, part in attached(machine):
-        if isinstance(part, Clearance):
-            found.append((f"clearance {part.name}", part.position, part.diametral / 2))
+    for room in machine.parts(Clearance):
+        found.append((f"clearance {room.name}", room.position, room.diametral / 2))
     return found
 
 

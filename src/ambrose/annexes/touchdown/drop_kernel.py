@@ -9,8 +9,6 @@ drag of the races, coast-down, and work of the magnets.
 This module imports numba: import it only inside functions.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """The page of a landing: verdict, slow motion, distribution, whip before any simulation."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

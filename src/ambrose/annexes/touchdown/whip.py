@@ -24,8 +24,6 @@ Source of the criterion: the joint receptance of rotor and stator, Black, J. Mec
 (1968) 1-12 (recalled); derived anew here.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

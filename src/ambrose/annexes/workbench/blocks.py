@@ -6,19 +6,13 @@ title or none. Words are words: the page never reads them as markup. A picture i
 ``annexes.workbench.svg`` made.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ambrose.annexes.workbench.svg import svg
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.report.page import Cell, Figure, Page
-
-if TYPE_CHECKING:
-    from ambrose.report.page import Table
-
+from ambrose.report.page import Cell, Figure, Page, Table
 
 Block = dict[str, Any]
 
@@ -136,8 +130,6 @@ def job(text: str, kind: str) -> Block:
 
 def rows_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
     """A table of the reports from rows of words and cells."""
-    from ambrose.report.page import Table  # with all that reports need, which the server does not
-
     return Table(title, tuple(columns), tuple(tuple(row) for row in rows))
 
 

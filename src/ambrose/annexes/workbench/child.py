@@ -4,8 +4,6 @@ Its standard input is a pipe from the server; where that ends, by a kill as well
 group ends.
 """
 
-from __future__ import annotations
-
 import os
 import runpy
 import signal

@@ -2,8 +2,6 @@
 goes wrong there touches the live rig or what is served.
 """
 
-from __future__ import annotations
-
 import asyncio
 import os
 import signal

@@ -5,8 +5,6 @@ page, not the server: a server that starts finds what was finished, and calls st
 What a job is, stands in KINDS; a page chooses among them and names files of the project.
 """
 
-from __future__ import annotations
-
 import asyncio
 import os
 import re

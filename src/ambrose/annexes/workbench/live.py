@@ -31,7 +31,7 @@ from ambrose.judge.plants import Stability, judge_stability
 from ambrose.judge.result import Synthesis
 from ambrose.law.loop import DEFAULT, timing_of
 from ambrose.machine.criteria import CLEARANCE
-from ambrose.machine.machine import Machine
+from ambrose.machine.machine import Machine, require_magnets
 from ambrose.machine.ordinary_file import parse_json
 from ambrose.model.assemble import assemble
 from ambrose.synthesis.design import design
@@ -128,7 +128,6 @@ class LiveSession:
         from ambrose.annexes.workbench.rig import LiveRig, ranges_of
         from ambrose.judge.controller_file import read_controller
         from ambrose.machine.file.toml import load_machine
-        from ambrose.machine.machine import require_magnets
 
         self._project = project
         self._stamp = _stamp(project)

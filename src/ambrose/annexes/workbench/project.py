@@ -219,9 +219,6 @@ class Project:
 
 def begin(project: Project, name: object) -> None:
     """A bundled machine becomes the project's, where it has none. Raises InvalidInput."""
-    from ambrose.machine.file.toml import bundled_machines
-    from ambrose.machine.ordinary_file import write_text
-
     known = bundled_machines()
     if not isinstance(name, str) or name not in known:
         raise InvalidInput(

@@ -42,8 +42,6 @@ that move by more than a bit),
 Tests by these numbers: tests/code/c/test_cascade.py.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any

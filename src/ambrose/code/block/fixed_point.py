@@ -9,8 +9,6 @@ the signal's resolution, so that an integrator never loses a small increment (no
 cycle from it).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import singledispatch

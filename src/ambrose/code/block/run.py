@@ -2,8 +2,6 @@
 vectors come from it.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 from dataclasses import dataclass, field

@@ -6,8 +6,6 @@ synchronous_twin.py. Python's integers have no end: the code agrees because no s
 bits.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field

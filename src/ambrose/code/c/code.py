@@ -6,8 +6,6 @@ timing: block/block.py, block/fixed_point.py, block/scheduled.py and docs/refere
 code needs no library, no heap and no recursion.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 import re

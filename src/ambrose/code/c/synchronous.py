@@ -5,8 +5,6 @@ The twin is ``ambrose.law.synchronous_block``: the code takes the same steps in 
 The text is in templates/synchronous.c.j2 and .h.j2.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import singledispatch

@@ -11,8 +11,6 @@ frequency needs ``proved_level``. Some complex uncertainty (a performance block,
 of neglected dynamics) makes mu continuous.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -23,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from ambrose.core.checks import check_positive, check_shape, invalid, named_failure
 from ambrose.core.frequency import frequency_response
-from ambrose.core.lft import Block, FullBlock, RealBlock
+from ambrose.core.lft import Block
 from ambrose.core.mu.lower import lower_bound
 from ambrose.core.mu.structure import Structure, check_matrix, structure_of
 from ambrose.core.mu.upper import upper_bound
@@ -122,7 +120,7 @@ class MuBounds(Presented):
         j = 0
         for block in self.blocks:
             part = delta[..., i : i + block.n_w, j : j + block.n_z]
-            result[block.name] = part if isinstance(block, FullBlock) else part[..., 0, 0]
+            result[block.name] = part if block.full else part[..., 0, 0]
             i, j = i + block.n_w, j + block.n_z
         return result
 
@@ -174,7 +172,7 @@ def mu_bounds(
     up = upper_bound(
         unit, structure, g_scaling=g_scaling, tolerance=tolerance, max_iterations=max_iterations
     )
-    if g_scaling and len(blocks) == 1 and isinstance(blocks[0], RealBlock):
+    if g_scaling and len(blocks) == 1 and blocks[0].real:
         up = replace(up, value=_with_real_eigenvalues(unit, up.value))
     value, delta = (
         np.zeros(len(flat)),

@@ -20,7 +20,6 @@ import numpy as np
 
 from ambrose.core.checks import memberwise
 from ambrose.core.frequency import largest_gain
-from ambrose.core.lft import ComplexBlock, FullBlock
 from ambrose.core.mu.structure import Structure, osborne
 
 _POWER_STEPS = 60  # of the complex power iteration from a cold start; a third of it when warm
@@ -95,7 +94,7 @@ def _align(structure: Structure, a: np.ndarray, w: np.ndarray) -> np.ndarray:
 
         # Delta_i = w_i a_i^H / (|w_i| |a_i|), or for a repeated scalar e^j phi I with phi of a_i^H
         # w_i
-        if isinstance(place.block, FullBlock):
+        if place.block.full:
             delta[:, i : i + n_w, j : j + n_z] = (
                 _unit(wi)[:, :, None] * _unit(ai).conj()[:, None, :]
             )
@@ -130,13 +129,13 @@ def _complex_problem(
     blocks = [place.block for place in structure.complex]
 
     # One full block, exact: F v = sigma u, Delta = v u^H, and u is both eigenvectors of F Delta.
-    if len(blocks) == 1 and isinstance(blocks[0], FullBlock):
+    if len(blocks) == 1 and blocks[0].full:
         u, s, vh = np.linalg.svd(F)
         x = u[:, :, 0]
         return vh[:, 0].conj()[:, :, None] * x.conj()[:, None, :], s[:, 0].astype(complex), x, x
 
     # One repeated scalar, exact: Delta = I, the spectral radius of F.
-    if len(blocks) == 1 and isinstance(blocks[0], ComplexBlock):
+    if len(blocks) == 1 and not blocks[0].full:
         delta = np.tile(np.eye(F.shape[1], dtype=complex), (len(F), 1, 1))
         return delta, *_eigen(F, delta)
 

@@ -2,8 +2,6 @@
 how to balance M.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -38,11 +36,11 @@ class Structure:
 
     @property
     def real(self) -> tuple[Place, ...]:
-        return tuple(place for place in self.places if isinstance(place.block, RealBlock))
+        return tuple(place for place in self.places if place.block.real)
 
     @property
     def complex(self) -> tuple[Place, ...]:
-        return tuple(place for place in self.places if not isinstance(place.block, RealBlock))
+        return tuple(place for place in self.places if not place.block.real)
 
 
 def structure_of(blocks: Sequence[Block]) -> Structure:
@@ -99,7 +97,7 @@ def channel_groups(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
     count = 0
     for place in structure.places:
         block = place.block
-        if isinstance(block, FullBlock):
+        if block.full:
             w_group += [count] * block.n_w
             z_group += [count] * block.n_z
             count += 1
@@ -256,9 +254,7 @@ def _hermitian(r: int) -> list[list[tuple[int, int, complex]]]:
 def scaling_basis(structure: Structure, *, g_scaling: bool) -> Basis:
     """The unknowns for a structure; ``g_scaling=False`` leaves G out."""
     n_w, n_z = structure.n_w, structure.n_z
-    n_x = sum(
-        1 if isinstance(place.block, FullBlock) else place.block.n_w for place in structure.places
-    )
+    n_x = sum(1 if place.block.full else place.block.n_w for place in structure.places)
 
     # rows and columns of S: w, z, and the rows "x"
     N = n_w + n_z + n_x
@@ -271,7 +267,7 @@ def scaling_basis(structure: Structure, *, g_scaling: bool) -> Basis:
         w = place.w.start
         z = n_w + place.z.start
         block = place.block
-        if isinstance(block, FullBlock):
+        if block.full:
             # X = x I on both sides: S_a = diag(I, -I), and x itself once in the barrier
             diagonal = np.zeros(N)
             diagonal[w : w + block.n_w] = 1.0
@@ -294,7 +290,7 @@ def scaling_basis(structure: Structure, *, g_scaling: bool) -> Basis:
             trace, is_g = [*trace, float(len(matrix) == 1)], [*is_g, False]
 
         # -j G~ in (w, z), j G~^H = j G~ in (z, w)
-        for matrix in _hermitian(block.n_w) if g_scaling and isinstance(block, RealBlock) else []:
+        for matrix in _hermitian(block.n_w) if g_scaling and block.real else []:
             for p, q, c in matrix:
                 entries += [(w + p, z + q, -1j * c, len(trace)), (z + p, w + q, 1j * c, len(trace))]
             trace, is_g = [*trace, 0.0], [*is_g, True]

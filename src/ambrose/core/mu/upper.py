@@ -22,7 +22,6 @@ from scipy.linalg.lapack import zpotrf
 
 from ambrose.core.checks import memberwise
 from ambrose.core.frequency import largest_gain
-from ambrose.core.lft import FullBlock, RealBlock
 from ambrose.core.mu.structure import Basis, Structure, osborne, scaling_basis
 
 # fractions of the way to the dual bound that the predictor tries
@@ -193,7 +192,7 @@ def _dual(structure: Structure, path: _Path, beta: np.ndarray) -> np.ndarray:
         top, bottom = K[:, z, z], path.P[:, place.w, place.w]
 
         # X_i = x I, or one scalar: the ratio of the traces
-        if isinstance(place.block, FullBlock) or place.block.n_w == 1:
+        if place.block.full or place.block.n_w == 1:
             value = np.einsum("bii->b", top).real / np.einsum("bii->b", bottom).real
         else:
             # X_i of any shape: the smallest eigenvalue of the pencil (M P M^H)_ii - lambda P_ii
@@ -408,11 +407,7 @@ def _proved(
 def needs_scaling(structure: Structure) -> bool:
     """Whether scalings can change sigma_max: not for one full block, nor for one complex scalar."""
     block = structure.places[0].block
-    return (
-        len(structure.places) > 1
-        or isinstance(block, RealBlock)
-        or (block.n_w > 1 and not isinstance(block, FullBlock))
-    )
+    return len(structure.places) > 1 or block.real or block.repeat > 1
 
 
 def upper_bound(

@@ -21,7 +21,7 @@ from ambrose.core.sampling import c2d, hold
 from ambrose.core.statespace import StateSpace, poles, select
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding, signal_rows
 from ambrose.identification.frf_spectral import Frf, local_response
-from ambrose.identification.parameters import COVERAGE, magnet_paths
+from ambrose.identification.parameters import COVERAGE
 from ambrose.law.loop import closed_loop
 from ambrose.machine.description import AMPLIFIER_PARAMETERS, Tolerance
 from ambrose.machine.machine import Machine
@@ -572,9 +572,7 @@ def doubted(plant: Plant, doubts: Mapping[str, float] = DOUBTS) -> list[Toleranc
     """The machine's tolerances around the point, and what it states without one."""
     machine = plant.machine
     found = list(tolerances_around(plant))
-    stated = [
-        Tolerance(path, relative=doubts[path.split(".")[2]]) for path in magnet_paths(machine)
-    ]
+    stated = [Tolerance(path, relative=doubts[path.split(".")[2]]) for path in machine.magnet_paths]
     stated += [
         Tolerance(f"amplifier.{name}", relative=doubts["amplifier"])
         for name in AMPLIFIER_PARAMETERS[machine.amplifier.order]

@@ -6,8 +6,6 @@ Signal by signal (data_quality/signals.py), the controller against its own outpu
 could be mixed up (data_quality/diagnosis.py).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations, product
@@ -15,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import AmbroseError, InvalidInput
+from ambrose.core.checks import AmbroseError, InvalidInput, as_several
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import StateSpace, select
@@ -34,11 +32,10 @@ from ambrose.identification.findings import ERROR, WARNING, Code, Finding, refus
 from ambrose.identification.frf import Step, phasors
 from ambrose.identification.output_error.normal_equations import distinct
 from ambrose.identification.output_error.problem import (
-    as_records,
     deployed_controller,
     operating_points,
 )
-from ambrose.identification.parameters import magnet_paths, nominal_values, plant_at, ratios
+from ambrose.identification.parameters import nominal_values, plant_at, ratios
 from ambrose.identification.validation.places import machine_at_load
 from ambrose.law.law import LawLike, law_of
 from ambrose.law.loop import closed_loop
@@ -412,7 +409,7 @@ def diagnose_records(
     known, and then signals by themselves alone. Records that do not belong together or to the
     machine are left to ``identify``, which refuses them.
     """
-    records = as_records(records)
+    records = as_several(records)
     findings = [
         finding
         for n, record in enumerate(records, 1)
@@ -587,7 +584,7 @@ def _telling(
     moved = np.zeros(len(measured.omega))
     command = expected.command(measured.values, measured.mix)
     for quantity in ("force_per_current", "negative_stiffness"):
-        paths = [path for path in magnet_paths(machine) if quantity in path]
+        paths = [path for path in machine.magnet_paths if quantity in path]
         begin = dict(zip(paths, (1.1 * nominal_values(plant, paths)).tolist(), strict=True))
         other = plant_at(machine, plant.point, begin)
         G = open_loop_responses(other, dt, measured.omega).G

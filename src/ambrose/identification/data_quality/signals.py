@@ -2,8 +2,6 @@
 machine, not excited.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

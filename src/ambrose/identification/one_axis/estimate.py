@@ -676,7 +676,7 @@ def estimate(
     # which of both ways: instruments where the direct way fails its tests and they pass theirs
     way, errors = "direct", fit.errors
     plant = fit.unknowns[:count]
-    agree = None if second is None else _agree(fit, second)
+    agree = None if second is None else disagreement(fit, second, _FLOOR)
     believed = white >= LEVEL and chance >= LEVEL and (agree is None or agree >= _PART)
     exogenous = reference is not None and answering >= ANSWERS
     if not believed and exogenous and second is not None:
@@ -694,7 +694,8 @@ def estimate(
             chance, followed = second_follows
 
     # deviations: noise, an actuator that does not show, curvature; the scatter of both halves
-    halves = [_half(fit, part, y, u, z, way) for part in _halves(len(y))]
+    middle = len(y) // 2
+    halves = [_half(fit, part, y, u, z, way) for part in (slice(middle), slice(middle, None))]
     parts = [unknowns for unknowns, _, _ in halves]
     noise = np.sqrt(np.diag(formal))
     curved, tangent = curvature(fit, y, u)
@@ -846,14 +847,6 @@ def _stride(fit: Fit) -> int:
 def _follows_direct(fit: Fit, watched: np.ndarray, stride: int) -> tuple[float, float]:
     late = np.concatenate([np.zeros(1), watched[:-1]])  # u of now may hold the noise of now
     return follows(fit.counted, fit.jacobian, fit.jacobian, late[fit.first :], stride)
-
-
-def _agree(fit: Fit, second: Instrumented) -> float:
-    return disagreement(fit, second, _FLOOR)
-
-
-def _halves(n: int) -> tuple[slice, slice]:
-    return slice(0, n // 2), slice(n // 2, n)
 
 
 def _half(

@@ -4,8 +4,6 @@ done = identify_generic("record.csv")
 done.pole, done.value("gain").half_width, done.verdict
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any

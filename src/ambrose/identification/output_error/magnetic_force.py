@@ -46,8 +46,6 @@ lag at the working point.
 Tests by these numbers: tests/identification/output_error/test_magnetic_force.py.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -84,7 +82,7 @@ from ambrose.identification.parameters import plant_at
 from ambrose.identification.validation.places import recorded_means
 from ambrose.law.law import LawLike
 from ambrose.law.loop import closed_loop
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
 from ambrose.machine.thrust import ThrustBearing
 from ambrose.model.axial import AtPoint, Side, closed_lags, core_lags, loaded, sides, with_found
@@ -332,7 +330,7 @@ def magnetic_force(
             driven = (plant, law, record, model.excitations, experiment.signals)
             waves.append(
                 thrust_responses(*driven, _thrust_coefficients(plant, values), turning)
-                if isinstance(machine, AxialMachine)
+                if not machine.lateral
                 else nonlinear_responses(*driven, turning, magnets_with(plant, values))
             )
             waves[-1] /= experiment.sizes[:, None].astype(np.float32)
@@ -375,7 +373,7 @@ def _known_loads(machine: Machine, plant: Plant, records: Sequence[Record]) -> n
     """The loads' part of a_0 (b - 1,): recorded mean currents over L, else those that carry the
     file's weight; none along the shaft, whose point has its thrust.
     """
-    if isinstance(machine, AxialMachine):
+    if not machine.lateral:
         return np.zeros(0)
     recorded = recorded_means(records)
     by_file = (

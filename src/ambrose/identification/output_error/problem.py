@@ -2,14 +2,12 @@
 from.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, check_finite, invalid, same_clock
+from ambrose.core.checks import InvalidInput, as_several, check_finite, invalid, same_clock
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import StateSpace, poles
 from ambrose.identification.findings import excitation_order, signal_rows
@@ -100,7 +98,7 @@ def build_experiment(
     """The experiment that ``closed_loop.identify`` describes; the same arguments. Raises
     InvalidInput.
     """
-    records, computing_delay = as_records(records), options.computing_delay
+    records, computing_delay = as_several(records), options.computing_delay
     points, dt = operating_points(machine, records)
     _check_delay(computing_delay)
     reference = max(points, key=lambda point: abs(point.seal_pressure))
@@ -176,10 +174,6 @@ def build_experiment(
         sizes,
         fitted,
     )
-
-
-def as_records(records: Record | Sequence[Record]) -> tuple[Record, ...]:
-    return (records,) if isinstance(records, Record) else tuple(records)
 
 
 def start_values(

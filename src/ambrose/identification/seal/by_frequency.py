@@ -42,7 +42,7 @@ from ambrose.machine.part import Seal
 from ambrose.model.assemble import assemble, seal_coefficients
 from ambrose.model.effects import amplifier, sensor
 from ambrose.model.static_load import magnet_coefficients
-from ambrose.record.files import read_record
+from ambrose.record.files import names_of_files, read_record
 from ambrose.record.record import Record
 
 # Seal coefficients frequency by frequency from stepped sines in closed loop: no controller, no
@@ -626,8 +626,7 @@ def identify_by_frequency(
     if form is not None and form not in FORMS:
         raise invalid("form", repr(form), f"one of {', '.join(FORMS)}", "correct it")
     progress(f"reading {len(records)} record{'s' * (len(records) > 1)}")
-    loaded = [item if isinstance(item, Record) else read_record(item) for item in records]
-    names = tuple(Path(item).name for item in records if not isinstance(item, Record))
+    loaded, names = [read_record(item) for item in records], names_of_files(records)
     checked = [
         finding
         for number, record in enumerate(loaded, 1)

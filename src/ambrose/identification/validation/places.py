@@ -13,10 +13,9 @@ sensors and magnets, about the same load,
 and both coefficients change by the ratio of the force law's slopes at (i_zero, 0) and at (i, q).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,7 @@ from ambrose.identification.findings import WARNING, Code, Finding
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.parameters import plant_at
 from ambrose.machine.description import OperatingPoint, Operation
-from ambrose.machine.machine import AxialMachine, Condition, Machine
+from ambrose.machine.machine import Condition, Machine
 from ambrose.machine.parameters import TIMING, parse_parameter
 from ambrose.model.axial import at_point, force, with_found
 from ambrose.model.effects.magnet import LoadedMagnet, MagnetCoefficients, slopes, with_coefficients
@@ -47,12 +46,14 @@ _APART = 0.01  # of the smaller gap: places of two records that are one
 _OTHER = 0.1  # of the largest process thrust: a force that the magnets found do not carry
 
 
-def at_place(machine: AxialMachine, records: Sequence[Record]) -> AxialMachine:
+def at_place(machine: Machine, records: Sequence[Record]) -> Machine:
     """The axis with the collar where the displacements' means in the records put it, at the
-    records' operating points; as it is where these are zero.
+    records' operating points; as it is where these are zero, and a machine of other axes.
 
     Raises InvalidInput for records of one point whose collars stand at different places.
     """
+    if machine.lateral:
+        return machine
     (axis,) = machine.axes
     gain = machine.thrust.sensor.gain
     allowed = _APART * min(machine.thrust.gap)
@@ -87,7 +88,8 @@ def at_place(machine: AxialMachine, records: Sequence[Record]) -> AxialMachine:
     if conditions == list(machine.conditions):
         return machine
     operation = Operation(tuple(points), design_point=machine.operation.design_point)
-    return replace(machine, operation=operation, conditions=tuple(conditions))
+    stated: dict[str, Any] = {"operation": operation, "conditions": tuple(conditions)}
+    return replace(machine, **stated)
 
 
 def thrust_findings(
@@ -142,7 +144,7 @@ def machine_at_load(machine: Machine, records: Sequence[Record]) -> Machine:
     is, where the records hold no currents, or hold them without their mean. The axis along the
     shaft: with the collar at its mean place.
     """
-    if isinstance(machine, AxialMachine):
+    if not machine.lateral:
         return at_place(machine, records)
     means = recorded_means(records)
     if not means or _without_mean(machine, means, _bias(records)):

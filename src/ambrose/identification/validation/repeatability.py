@@ -7,8 +7,6 @@ five repeats, 95 %), scatters have chi-square ones: the standard deviation of fi
 uncertain by a factor between 0.6 and 2.9.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

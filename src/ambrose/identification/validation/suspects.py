@@ -11,8 +11,6 @@ much it matters. What is missing need not be one of the suspects: the largest mo
 the effect, no bound.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -44,11 +42,11 @@ from ambrose.identification.output_error.statistics import (
     step_with_prior,
     verdict_of,
 )
-from ambrose.identification.parameters import magnet_paths, plant_at, unit_of
+from ambrose.identification.parameters import plant_at, unit_of
 from ambrose.law.law import LawLike
 from ambrose.law.loop import match_controller
 from ambrose.machine.description import AMPLIFIER_PARAMETERS
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import BENDING, TIMING, bending_modes_of_mesh, parse_parameter
 from ambrose.record.record import Record
 
@@ -596,7 +594,7 @@ def file_numbers(machine: Machine, paths: Sequence[str]) -> list[str]:
 
 def _others(machine: Machine, bending_modes: int) -> list[str]:
     paths = _parts(machine)
-    if isinstance(machine, AxialMachine):
+    if not machine.lateral:
         return paths
     modes = range(1, 1 + min(_MODES, bending_modes, bending_modes_of_mesh(machine)))
     return paths + [
@@ -606,7 +604,7 @@ def _others(machine: Machine, bending_modes: int) -> list[str]:
 
 def _parts(machine: Machine) -> list[str]:
     paths = [f"amplifier.{name}" for name in AMPLIFIER_PARAMETERS[machine.amplifier.order]]
-    paths += magnet_paths(machine)
+    paths += machine.magnet_paths
     paths += [
         f"coupling.{item.name}.stiffness.{axis}"
         for item in machine.couplings

@@ -7,8 +7,6 @@ become places for magnets, of the geometry that a MagneticBearingElement states;
 forces are left out, and named, and so is every key that is not read and says something.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping, Sequence

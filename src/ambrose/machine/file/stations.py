@@ -8,8 +8,6 @@ and a row of length 0 at the shaft's right end. Columns may be missing but for l
 order; units stand in brackets behind the name, or in a row below the names (file/stations.py).
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math

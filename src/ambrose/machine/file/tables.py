@@ -5,8 +5,6 @@ A part's field says what its key takes and means, ``length: Annotated[float, Qua
 "axial length"]``, and its default. Only what a file gives is passed on to the part.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -2,8 +2,6 @@
 converted; inside all is SI.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -3,8 +3,6 @@ stays as it stands. And one made for people: every number in an everyday unit, e
 meaning, what is assumed marked.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence

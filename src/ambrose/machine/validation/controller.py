@@ -2,8 +2,6 @@
 channels, or both.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 

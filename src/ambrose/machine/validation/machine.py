@@ -4,8 +4,6 @@ Every check yields complaints, so that all problems of a machine are reported to
 named as in the file.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import unicodedata
@@ -84,9 +82,8 @@ def fits(machine: MachineDescription) -> Iterator[str]:
         if seal.geometry is not None:
             inside, radius = f"[[seal]] {seal.name}, [seal.geometry]", seal.geometry.diameter / 2
             yield from _around(machine, inside, "diameter", radius, seal.position, factor=2)
-    for part in machine.effects:
-        if isinstance(part, ThrustBearing):
-            yield from _thrust(machine, part)
+    for part in machine.parts(ThrustBearing):
+        yield from _thrust(machine, part)
 
 
 def _around(
@@ -538,9 +535,7 @@ def _sensor(where: str, part: ThrustBearing) -> Iterator[str]:
 def of_machine(machine: MachineDescription) -> Iterator[str]:
     """What is wrong with a thrust bearing in its machine: loads at points that there are not."""
     labels = [point.label for point in machine.operation.envelope]
-    for part in machine.effects:
-        if not isinstance(part, ThrustBearing):
-            continue
+    for part in machine.parts(ThrustBearing):
         seen: set[str] = set()
         for i, load in enumerate(part.loads):
             where = f"[[thrust_bearing]] {part.name}, [[thrust_bearing.load]] {i + 1}"

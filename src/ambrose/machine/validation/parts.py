@@ -2,8 +2,6 @@
 each on its own.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from functools import lru_cache

@@ -5,8 +5,6 @@ of it overflow. ``implausible`` is asked by ``ambrose check``: what hardly any m
 doubted.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields

@@ -23,8 +23,6 @@ the coil without leakage (INDUSTRIAL notes R5.1; Maslen, Knospe & Zhu 2006 for i
 Held at the centred position: L and k_u do not move with the rotor.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

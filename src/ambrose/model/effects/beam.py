@@ -20,8 +20,6 @@ whose strain is constant in an element, with order 2. ``beam_element`` takes arr
 runs over elements.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

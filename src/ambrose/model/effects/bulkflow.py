@@ -13,8 +13,6 @@ so that forward and backward whirl, Z(w) and Z(-w), give the four coefficients. 
 rotor is left out: it is smaller by the clearance over the radius.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache

@@ -13,8 +13,6 @@ coefficients is the bias flux whatever the iron does, which is how ``parameters`
 from them.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

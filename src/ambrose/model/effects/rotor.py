@@ -7,8 +7,6 @@ elements' shape functions interpolate. The planes decouple at standstill; ``plan
 on [w, theta] per node.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
 

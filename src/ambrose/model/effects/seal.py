@@ -3,8 +3,6 @@
 k > 0 drives forward whirl.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

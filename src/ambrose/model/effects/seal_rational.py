@@ -10,8 +10,6 @@ states keep their meaning while the operating point varies. The linear plant and
 hold the same model: q_x' = A q_x + b x and q_y' = A q_y + b y are the states.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
 

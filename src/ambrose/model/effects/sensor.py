@@ -5,8 +5,6 @@ The rig's signal: gain (displacement + run-out) + offset, then the lag, then noi
 converter's steps.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

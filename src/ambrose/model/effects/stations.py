@@ -6,8 +6,6 @@ at its faces, a thickness t apart: f = K (q_left, q_right) with K = k_t/t^2 [[1,
 each plane, and phi_t = (q_right - q_left)/t.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

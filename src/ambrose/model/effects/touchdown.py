@@ -9,8 +9,6 @@ friction times v >= 0 at every instant. The kernels of the rig (rig/engine/kerne
 compile these functions as they stand.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Bode diagrams: magnitude and phase of a system or a measured response, a line for each axis."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ Figures convert from SI to the units of the page; they are never downsampled, an
 part of the data says so.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping, Sequence

@@ -10,8 +10,6 @@ upwards, both magnified alike. One frame is the axis and its dots, a few numbers
 library plays them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.machine import AxialMachine, Machine
+from ambrose.machine.machine import Machine
 from ambrose.model.plant import Port, measured_ports, ports
 from ambrose.record.record import Record
 from ambrose.report import theme
@@ -143,7 +141,7 @@ def stations(record: Record, machine: Machine) -> tuple[Station, ...]:
 
     Raises InvalidInput where the record has neither.
     """
-    if isinstance(machine, AxialMachine):
+    if not machine.lateral:
         return _sides(record, machine)
     gaps = {bearing.name: bearing.touchdown_gap for bearing in machine.bearings}
     places = [(pair, "q", False) for pair in _pairs(ports(machine))]
@@ -180,7 +178,7 @@ def stations(record: Record, machine: Machine) -> tuple[Station, ...]:
     return tuple(result)
 
 
-def _sides(record: Record, machine: AxialMachine) -> tuple[Station, ...]:
+def _sides(record: Record, machine: Machine) -> tuple[Station, ...]:
     """How far the collar is to the left of its middle, and to the right: each has its own stop."""
     part, (axis,) = machine.thrust, machine.axes
     name = next((f"{kind}_{axis}" for kind in "qy" if f"{kind}_{axis}" in record.signals), None)

@@ -6,8 +6,6 @@ that has its mass and inertias. Bearings, sensors, seals and couplings are symbo
 axial positions.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -2,8 +2,6 @@
 frequency and over pressure.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 

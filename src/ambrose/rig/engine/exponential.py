@@ -7,8 +7,6 @@ pressure within the stretch adds. Weight, driven forces and unbalance at the pro
 exact as well. This module imports numba: import it only in functions.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

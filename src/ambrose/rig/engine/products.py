@@ -8,8 +8,6 @@ the sum j mod 4.
 This module imports numba in ``products`` only.
 """
 
-from __future__ import annotations
-
 import inspect
 import os
 import shutil

@@ -2,8 +2,6 @@
 file.
 """
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path

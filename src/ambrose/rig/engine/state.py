@@ -5,8 +5,6 @@ negative stiffness, seals and registered effects: those act as forces at S stati
 bearings, effects (couplings among them), seals, discs, each with two axes.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass, field
 from functools import cache

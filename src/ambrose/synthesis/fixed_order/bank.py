@@ -7,8 +7,6 @@ step, exact to rounding (Squire & Trapp 1998). Poles that would run to infinity,
 softly at limits: value = least + 1/(1/(limit - least) + exp(-x)).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -10,8 +10,6 @@ exploited; after each round the true norms are computed and the worst parameter 
 added to the models.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -23,9 +21,7 @@ from ambrose.core.checks import InvalidInput, NumericalFailure, check_shape, inv
 from ambrose.core.frequency import frequency_response, largest_gain
 from ambrose.core.hinf_riccati import check_plant
 from ambrose.core.lft import (
-    FullBlock,
     GeneralizedPlant,
-    RealBlock,
     close_uncertainty,
     design_grid,
     lft,
@@ -538,12 +534,8 @@ def _box_problem(plant: GeneralizedPlant) -> GeneralizedPlant:
     """The plant without performance block. Raises InvalidInput unless real blocks and performance
     signals remain.
     """
-    blocks = [
-        b
-        for b in check_plant(plant).blocks
-        if not (isinstance(b, FullBlock) and b.name == PERFORMANCE)
-    ]
-    if not blocks or not all(isinstance(b, RealBlock) for b in blocks):
+    blocks = [b for b in check_plant(plant).blocks if not (b.full and b.name == PERFORMANCE)]
+    if not blocks or not all(b.real for b in blocks):
         kinds = ", ".join(type(b).__name__ for b in blocks) or "none"
         raise invalid(
             "the plant's blocks",

@@ -9,8 +9,6 @@ scaled to comparable gains, so that all unknowns are numbers of similar size. Ax
 into groups that share nothing: two planes, or every axis alone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

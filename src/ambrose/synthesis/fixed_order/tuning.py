@@ -9,8 +9,6 @@ Noll 2006; Apkarian, Gahinet & Buhr 2014 tune to requirements this way). All rou
 the full plants and on all the members that were found by the end, and the best is returned.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product

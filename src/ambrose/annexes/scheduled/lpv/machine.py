@@ -2,8 +2,6 @@
 problems, the synthesis, the full plant at every point of the schedule.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

@@ -7,8 +7,6 @@ falls. Sources: Apkarian & Adams 1998, IEEE Trans. Control Systems Technology 6;
 Becker 1996, Int. J. Robust Nonlinear Control 6.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ by name that do something and give blocks as well. What they are given came from
 numbers to be looked at. They run in a process of their own (``desk``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module

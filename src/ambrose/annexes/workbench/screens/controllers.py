@@ -6,8 +6,6 @@ While a handle moves, the loop is judged on plants that are reduced to the modes
 that the curves follow the hand; what is kept is judged on the full plant first, and says how.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -229,7 +227,9 @@ def filters_of(law: Law, machine: Machine) -> PidSettings | None:
     if system.dt is not None:
         # z = (1 + p)/(1 - p) with p = s T/2:   (p - A)^-1 B = (s - 2 A/T)^-1 2 B/T
         half, rate = continuous_equivalent(system), 2 / system.dt
-        system = StateSpace(half.A * rate, half.B * rate, half.C, half.D, *_signals(system))
+        system = StateSpace(
+            half.A * rate, half.B * rate, half.C, half.D, system.inputs, system.outputs
+        )
     speeds = np.abs(np.linalg.eigvals(system.A))
     high = float(speeds.max(initial=0.0)) or 1.0
     low = float(speeds[speeds > _TINY * high].min(initial=high))
@@ -258,10 +258,6 @@ def filters_of(law: Law, machine: Machine) -> PidSettings | None:
             if (error <= _EXACT * np.abs(whole).max(axis=(1, 2))).all():
                 return made
     return None
-
-
-def _signals(system: StateSpace) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    return system.inputs, system.outputs
 
 
 def _without_rounding(matrix: np.ndarray) -> np.ndarray:

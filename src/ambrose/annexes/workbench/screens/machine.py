@@ -5,8 +5,6 @@ and the sentence of the machine file stands beside the field that it names. Who 
 fingerprint of the text that was read: an edit of a text that has changed since is refused.
 """
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Callable, Mapping
@@ -21,6 +19,7 @@ from ambrose.annexes.workbench.blocks import Block, Refusal, texts, width, word
 from ambrose.annexes.workbench.project import MACHINE, Project
 from ambrose.annexes.workbench.screens import Answer, Screen
 from ambrose.annexes.workbench.svg import svg
+from ambrose.chain.check import facts, free_mode_rows, rows_of as rows_of_facts
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.file.stations import rotor_of_stations
 from ambrose.machine.file.toml import load_machine, loads_machine, read_machine_text
@@ -70,7 +69,6 @@ def show_machine(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
 
 def _drawn(machine: Machine, given: Mapping[str, Any]) -> list[Block]:
     """The rotor with its first modes, and where these have nodes."""
-    from ambrose.chain.check import free_mode_rows
     from ambrose.report.figures.rotor_drawing import machine_drawing
 
     rotor = finite_element_rotor(machine)
@@ -98,12 +96,10 @@ def _drawn(machine: Machine, given: Mapping[str, Any]) -> list[Block]:
 
 def _seen(machine: Machine, given: Mapping[str, Any]) -> list[Block]:
     """The drawing and what `check` says."""
-    from ambrose.chain.check import facts, rows_of
-
     known = facts(machine)
     doubts = [(Cell("implausible", "fail"), doubt) for doubt in known["doubts"]]
     remarks = [(Cell("note", "muted"), remark) for remark in known["remarks"]]
-    rows = [*doubts, *rows_of(known), *remarks]
+    rows = [*doubts, *rows_of_facts(known), *remarks]
     verdict = "PASSED: no entry of the machine file is implausible."
     if known["doubts"]:
         verdict = f"IMPLAUSIBLE: {known['doubts'][0]}"

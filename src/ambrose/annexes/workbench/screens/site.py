@@ -2,8 +2,6 @@
 tried, with the way back.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

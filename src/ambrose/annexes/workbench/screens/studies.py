@@ -2,8 +2,6 @@
 be, a plan of many cases.
 """
 
-from __future__ import annotations
-
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
