@@ -478,8 +478,10 @@ class Objective:
             [_closed_loops(theta, stack).poles().ravel() for _, stack in self._stacks]
         )
 
-    def ratios(self, x: np.ndarray) -> dict[str, Ratio]:
-        """By requirement or guard: the largest ratio over models and grid, and where it is."""
+    def ratios(self, x: np.ndarray, *, poles: bool = True) -> dict[str, Ratio]:
+        """By requirement or guard: the largest ratio over models and grid, and where it is; those
+        of poles, which no grid changes, where they are asked for.
+        """
         S, Q, H = self._closed(x)
         largest: dict[str, Ratio] = {}
         channels, settling = self._parts()
@@ -505,8 +507,8 @@ class Objective:
                 self.models[int(worst.argmax())].label,
                 float("nan"),
             )
-        read = self._read(self.structure.theta(x))
-        for (values, aliased), (members, _) in zip(read, self._stacks, strict=True):
+        read = self._read(self.structure.theta(x)) if poles else []
+        for (values, aliased), (members, _) in zip(read, self._stacks, strict=poles):
             ratios, _ = self._damping(values, aliased, members)
             # poles of which the guard alone asks for damping, and those of requirements
             size = np.maximum(np.abs(values), 1e-9)

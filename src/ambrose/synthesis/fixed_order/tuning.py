@@ -540,9 +540,9 @@ def _holding(job: Job, law: Law, enough: float = HOLDS) -> Law:
     )
 
 
-def _grid(job: Job, cost: Objective, x: np.ndarray, per_decade: int) -> np.ndarray:
-    """A logarithmic grid with the loops' resonances, half a bandwidth to either side of light ones,
-    and known peaks.
+def _grid(job: Job, poles: np.ndarray, per_decade: int) -> np.ndarray:
+    """A logarithmic grid with the loops' resonances, of all their poles (k,) [rad/s], half a
+    bandwidth to either side of light ones, and known peaks.
     """
     top = (
         job.aims.highest
@@ -552,7 +552,6 @@ def _grid(job: Job, cost: Objective, x: np.ndarray, per_decade: int) -> np.ndarr
     grid = np.geomspace(_LOWEST, top, int(per_decade * np.log10(top / _LOWEST)))
 
     # Resonances in true frequency; light ones with their two half-power points.
-    poles = cost.poles(x)
     poles = poles[(poles.imag > 0) & (np.abs(poles.real) < 0.5 * np.abs(poles))]
     at, half = unwarped(poles.imag, job.timing), np.abs(poles.real)
     light = half < 0.06 * at
@@ -599,7 +598,8 @@ def _descended(job: Job, law: Law, power: int) -> tuple[Law, int]:
     fastest = _limit(job, law)
     structure, x = _unknowns(job, law)
     rough = Objective(structure, job.models, np.array([100.0]), job.aims)
-    cost = Objective(structure, job.models, _grid(job, rough, x, _TUNED), job.aims, job.reference)
+    grid = _grid(job, rough.poles(x), _TUNED)
+    cost = Objective(structure, job.models, grid, job.aims, job.reference)
 
     def allowed(trial: np.ndarray) -> bool:
         return (
@@ -622,12 +622,13 @@ def _descended(job: Job, law: Law, power: int) -> tuple[Law, int]:
     if isinstance(law, StateSpace) and (settled := without_drift(law)) is not law:
         law, (structure, x) = settled, _unknowns(job, settled)
         cost = Objective(structure, job.models, cost.omega, job.aims, job.reference)
-    dense = Objective(structure, job.models, _grid(job, cost, x, _JUDGED), job.aims)
-    if (low := _below(job.aims, dense.poles(x))) and low[0] not in job.extra:
+    poles = cost.poles(x)
+    dense = Objective(structure, job.models, _grid(job, poles, _JUDGED), job.aims)
+    if (low := _below(job.aims, poles)) and low[0] not in job.extra:
         job.extra += low
         return _descended(job, begin, power)
     job.extra += dense.omega[_peaks(dense, x)].tolist()
-    job.extra += _unseen(dense.ratios(x), cost.ratios(x))
+    job.extra += _unseen(dense.ratios(x, poles=False), cost.ratios(x, poles=False))
     return law, used
 
 
@@ -741,10 +742,10 @@ def _judged(job: Job, law: Law, models: Sequence[LoopModel]) -> _Round:
     where one is unstable.
     """
     structure, x = _unknowns(job, law)
-    rough = Objective(structure, models, np.array([100.0]), job.aims)
-    if rough.abscissa(x) >= 0:
+    poles = Objective(structure, models, np.array([100.0]), job.aims).poles(x)
+    if poles.real.max() >= 0:
         return _Round(law, {}, len(models), job.aims)
-    grid = _grid(job, rough, x, _JUDGED)
+    grid = _grid(job, poles, _JUDGED)
     peaks = _peaks(Objective(structure, models, grid, job.aims), x)
     end = np.clip(job.aims.unbalance_to, grid[0], grid[-1])  # up to where unbalance is looked at
     grid = np.union1d(grid, np.append(_around(grid, peaks), end))
@@ -758,7 +759,8 @@ def _judged(job: Job, law: Law, models: Sequence[LoopModel]) -> _Round:
         around = _around(grid, np.abs(grid - np.array(at)[:, None]).argmin(axis=1))
         grid = np.union1d(grid, around)
         grid = grid[np.diff(grid, append=np.inf) > _ALIKE * grid]
-        for name, ratio in Objective(structure, models, around, aims).ratios(x).items():
+        near = Objective(structure, models, around, aims).ratios(x, poles=False)
+        for name, ratio in near.items():
             if _on_grid(name, ratio):
                 ratios[name] = max(ratio, ratios[name], key=lambda item: item.value)
     return _Round(law, ratios, len(models), job.aims)
