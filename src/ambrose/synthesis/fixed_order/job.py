@@ -64,6 +64,7 @@ class Job:
     # the aims before each time that what `verify` asks beyond them joined (None: it never does)
     before: list[Aims] | None = None
     members: set[tuple[str, tuple[tuple[str, float], ...]]] = field(default_factory=set)
+    whole: list[LoopModel] = field(default_factory=list)  # of the full plants, where it judged them
 
 
 def prepare(

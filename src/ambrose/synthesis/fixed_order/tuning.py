@@ -702,7 +702,7 @@ def _best(job: Job, rounds: list[_Round]) -> _Round:
     """The round that does best on all models by the end, members included, and on the full
     plants.
     """
-    full = loop_models(job.full, job.timing, job.measured)
+    job.whole = job.whole or loop_models(job.full, job.timing, job.measured)
     best = _Round(rounds[-1].law, {})
     for known in sorted(rounds, key=lambda item: item.worst):
         same = known.aims is job.aims
@@ -711,7 +711,9 @@ def _best(job: Job, rounds: list[_Round]) -> _Round:
         whole = same and known.models == len(job.models)
         item = known if whole else _judged(job, known.law, job.models)
         if item.worst < best.worst:
-            best = min(best, _both(item, _judged(job, item.law, full)), key=lambda item: item.worst)
+            best = min(
+                best, _both(item, _judged(job, item.law, job.whole)), key=lambda item: item.worst
+            )
     if not np.isfinite(best.worst):
         raise NumericalFailure(
             f"no controller of order {as_system(best.law, job.full[0].machine).n_states} that "
