@@ -307,6 +307,7 @@ def sampled_box(
 _FULL_POINTS, _TOGETHER = 40, 6  # at most; of them at once
 _STARTS = 3  # of the search inside the box, besides the nominal point
 _BENDING = re.compile(r"rotor\.bending_(\d+)\.")
+_MANY = 32  # members from which on it is worth a look where none can have a high gain
 _INSIDE = 32  # points inside the box, beside its corners
 # of a half bandwidth, by which resonances of members that share a grid may differ: the peak between
 # is missed by 0.5 %, before the search goes on from the highest
@@ -455,9 +456,11 @@ def _first_peaks(
     base, everyone = box.base_grid(), np.arange(len(points))
     alike = _alike(light)
     parts = [(base, everyone), *((box.beside(light[m[0]]), np.array(m)) for m in alike)]
-    ends = np.cumsum([len(grid) for grid, _ in parts])[:-1]
-    every = np.concatenate([grid for grid, _ in parts])
-    limits = np.split(box.gain_limit(every, _FIRST_LOOK), ends)
+    # the limit takes as long as the gains of a few members
+    limits = [
+        box.gain_limit(grid, _FIRST_LOOK) if len(members) > _MANY else np.full(len(grid), np.inf)
+        for grid, members in parts
+    ]
     least = float(box.gains(base, points[:1], _FIRST_LOOK).max())
     peaks = [Peak(-np.inf, float(base[0]), point) for point in points]
 
