@@ -81,6 +81,7 @@ def test_what_a_gain_cannot_exceed_and_no_start_is_lost_by_it(loop, monkeypatch)
     assert (np.linalg.norm(gain, 2, axis=(2, 3)) <= limit * (1 + 1e-9)).all()
     left_out = limit < np.linalg.norm(gain[0], 2, axis=(1, 2)).max()
     assert 0.2 < left_out.mean() < 1  # sharp enough to be of use
+    assert box.gain_limit(grid[:0], 2).shape == (0,)  # no resonance beside the common grid
 
     poles = [box.light(row) for row in box.closed_loop_poles(members)]
     for few in (members, members[:3]):

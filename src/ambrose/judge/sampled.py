@@ -174,7 +174,7 @@ class SampledBox:
         # S = S0 (I + dG K S0)^-1
         law = evaluate(self.law, np.exp(1j * omega * self.sample_time))
         nominal = np.einsum("wkij,wk->wij", M[:, :, z:, w:], hold)
-        S = np.linalg.inv(np.eye(len(law[0])) + nominal @ law)
+        S = np.linalg.inv(np.eye(law.shape[-1]) + nominal @ law)
         left = 1 - moved * largest_gain(law @ S)
         return np.where(left > 0, largest_gain(S) / np.where(left > 0, left, 1.0), np.inf)
 
