@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -129,7 +130,8 @@ def test_a_polished_controller_says_how_its_start_ended(monkeypatch):
     """Polishing hid it: only its own status was left."""
     plant = assemble(load_machine("seal-rig"))
     held = pid_synthesis(plant)
-    monkeypatch.setattr(mu, "mu_synthesis", lambda model, **_: stopped(held))
+    begun = SimpleNamespace(controller=held.controller, finish=lambda: stopped(held))
+    monkeypatch.setattr(mu, "mu_iterates", lambda model, **_: begun)
     monkeypatch.setattr(polish, "polish_synthesis", lambda model, start, **_: held)
     found = design.design(plant, "polish", match_reference=False)
     assert found.status == "verified"

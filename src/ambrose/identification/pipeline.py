@@ -249,11 +249,11 @@ def _read(
     records: Measured | Sequence[Measured], progress: Progress
 ) -> tuple[tuple[Record, ...], tuple[str, ...]]:
     """The records, and the names of those that are files (none where some are not)."""
-    records = as_several(records)
+    given, records = records, as_several(records)
     if not records:
         raise invalid(
             "records",
-            repr(records),
+            repr(given),
             "a Record or a file, or a list of them",
             "record the machine running",
         )
