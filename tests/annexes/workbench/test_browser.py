@@ -635,12 +635,21 @@ def test_a_rotor_is_edited_as_a_spreadsheet(chromium, tmp_path):
         wrong.wait_for()
         assert 'write "20.5 mm"' in wrong.text_content()
         assert cell(f"shaft.{last + 1}.outer_diameter").get_attribute("aria-invalid") == "true"
-        page.get_by_role("button", name="Save", exact=True).first.click()
         until(page, "document.querySelector('#note').textContent.includes('decimal mark')")
-        assert project.machine.read_text("utf-8") == text
+        # Save is refused after its cause was corrected: the row is right all the same
+        late = []
+        page.route("**/screens/machine/rows", lambda route: late.append(route))
+        page.get_by_role("button", name="Save", exact=True).first.click()
+        while not late:
+            page.wait_for_timeout(1000 * POLL)
         cell(f"shaft.{last + 1}.outer_diameter").fill("20.5")
         page.keyboard.press("Tab")
+        with page.expect_response("**/screens/machine/rows") as refused:
+            late[0].continue_()
+        assert refused.value.status == 400
+        page.unroute("**/screens/machine/rows")
         wrong.wait_for(state="detached")
+        assert project.machine.read_text("utf-8") == text
         page.get_by_role("button", name="Save", exact=True).first.click()
         until(page, "document.querySelector('#note').textContent.includes('is saved')")
         shaft = load_machine(project.machine).shaft

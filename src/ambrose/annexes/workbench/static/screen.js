@@ -69,7 +69,7 @@ export const screen = (name) => async (place) => {
     stamp = told.stamp || stamp;
     if (told.whole) [jobs, ended] = [told.jobs, told.ended];
     for (const [key, { panel, extra, body }] of shown) {
-      if (!quiet) body.tell?.({});
+      if (!quiet || key === by) body.tell?.({}); // also what an answer to older words told meanwhile
       if (told.blocks.some((block) => block.key === key)) continue;
       if (told.whole ? quiet && extra : !told.gone.includes(key)) continue; // what was asked for besides stays
       panel.remove();
