@@ -638,7 +638,11 @@ def test_a_rotor_is_edited_as_a_spreadsheet(chromium, tmp_path):
         until(page, "document.querySelector('#note').textContent.includes('decimal mark')")
         # Save is refused after its cause was corrected: the row is right all the same
         late = []
-        page.route("**/screens/machine/rows", lambda route: late.append(route))
+
+        def hold(route):  # a method of a list is no handler here
+            late.append(route)
+
+        page.route("**/screens/machine/rows", hold)
         page.get_by_role("button", name="Save", exact=True).first.click()
         while not late:
             page.wait_for_timeout(1000 * POLL)
