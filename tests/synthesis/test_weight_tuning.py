@@ -4,6 +4,8 @@ with H-infinity.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from benchmarks.published_p5 import (
@@ -99,6 +101,45 @@ def test_retries_nearer_after_a_failed_synthesis():
 def test_failure_of_the_first_synthesis_is_not_hidden():
     with pytest.raises(NumericalFailure, match="no controller"):
         tune(fake(lambda level: 1.0, fails_above=0.1))
+
+
+@dataclass(frozen=True)
+class Halted:
+    """A design that has swallowed the interruption, as D-K iteration does: it keeps its best."""
+
+    certified: Synthesis
+    interrupted: bool = True
+
+    @property
+    def controller(self):
+        return self.certified.controller
+
+
+@pytest.mark.parametrize("swallowed", [True, False])
+def test_ctrl_c_keeps_the_nearest_controller(swallowed):
+    """Of the trials so far, that of the design that was interrupted included where it has one."""
+    calls: list[float] = []
+    through = fake(lambda level: 0.5 / level, calls)
+
+    def synthesize(problem):
+        if len(calls) < 1:
+            return through(problem)
+        if swallowed:
+            return Halted(through(problem))
+        raise KeyboardInterrupt
+
+    found = tune(synthesize, tolerance=1e-6)
+    assert len(found.history) == 1 + swallowed and not found.converged
+    assert found.synthesis.stopped_early == "its control weight, interrupted"
+    assert abs(found.mismatch) == min(abs(row["mismatch"]) for row in found.history)
+
+
+def test_ctrl_c_before_any_controller_ends_it():
+    def synthesize(problem):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        tune(synthesize)
 
 
 def test_mismatch_of_a_first_order_lag():

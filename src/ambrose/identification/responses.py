@@ -11,7 +11,7 @@ controller K with its delay, every response is Y's: of square matrices
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path as File
 from typing import Any
@@ -22,7 +22,8 @@ from scipy.optimize import minimize as optimise, nnls
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, as_several, invalid
 from ambrose.core.frequency import frequency_response, solve_shifted, times
-from ambrose.core.statespace import balance_matrix, poles
+from ambrose.core.response import SystemDerivative
+from ambrose.core.statespace import StateSpace, balance_matrix, poles
 from ambrose.identification.data_quality.signals import point_findings
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding, refuse
 from ambrose.identification.frf_spectral import Frf
@@ -137,10 +138,23 @@ class Loop:
 
     model: LoopModel | MeasuredLoop
     axes: tuple[str, ...]
+    _last: dict[bytes, tuple[StateSpace, list[SystemDerivative]]] = field(
+        init=False, default_factory=dict
+    )
+
+    def at(self, theta: np.ndarray) -> tuple[StateSpace, list[SystemDerivative]]:
+        """The sampled loop at theta (q,) and its derivatives; of the theta that was asked for last
+        the same again, as when a file is looked at for mistakes.
+        """
+        if (key := theta.tobytes()) not in self._last:
+            found = self.model.loop(theta)
+            self._last.clear()
+            self._last[key] = found
+        return self._last[key]
 
     def motion(self, theta: np.ndarray, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Y (w, a, a) and its derivatives (q, w, a, a)."""
-        loop, directions = self.model.loop(theta)
+        loop, directions = self.at(theta)
         z = np.exp(1j * omega * float(loop.dt or 1.0))
 
         # A = V T V^-1, T (quasi-)triangular, and so is its transpose from the last row up
@@ -627,7 +641,7 @@ class Problem:
 
     def refuse_unstable(self, theta: np.ndarray) -> None:
         """Raises InvalidInput where the loop that ran is unstable at theta, and says where."""
-        found = poles(self.loop.model.loop(theta)[0]).astype(complex)
+        found = poles(self.loop.at(theta)[0]).astype(complex)
         worst = found[int(np.argmax(np.abs(found)))]
         if np.abs(worst) < 1:
             return
@@ -953,7 +967,7 @@ def _explained(
 
 def _named(problem: Problem, theta: np.ndarray, severity: str) -> Iterator[Finding]:
     """The resonances that nothing models, each beside the mode of the model that lies near."""
-    loop = problem.loop.model.loop(theta)[0]
+    loop = problem.loop.at(theta)[0]
     s = np.log(poles(loop).astype(complex) + 1e-300) / float(loop.dt or 1.0)
     modes = s.imag[(s.imag > 0) & (-s.real < _WIDE * np.abs(s))]
     for w, zeta, share, name in missing_resonances(problem, theta):

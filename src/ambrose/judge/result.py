@@ -52,6 +52,7 @@ from ambrose.version import __version__
 _SAME = 1e-5  # relative; margins recomputed elsewhere differ by rounding
 # said by a design that was interrupted before it certifies the best that it has
 CERTIFYING = "interrupted: certifying the best so far; Ctrl-C again ends at once, without it"
+INTERRUPTED = "interrupted"  # how ``stopped_early`` of such a design ends
 
 
 @named_failure("the certificate")

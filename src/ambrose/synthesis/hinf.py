@@ -8,7 +8,7 @@ import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -43,7 +43,7 @@ from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.norms import hinf_norm
 from ambrose.core.processes import REMEDY, TimeLimit
 from ambrose.core.statespace import ControllerLike, StateSpace, as_statespace, is_stable, select
-from ambrose.judge.result import Certificate, Status, Synthesis, generalized_certificate
+from ambrose.judge.result import INTERRUPTED, Certificate, Status, Synthesis, generalized_certificate
 from ambrose.law.design_problem import Weights, design_plant, scale_control
 from ambrose.model.plant import Plant
 
@@ -435,7 +435,24 @@ _SPAN = 200.0
 _LARGEST_STEP = np.log(30.0)
 
 
-Begun = tuple[StateSpace, Callable[[], Synthesis]]  # a controller, and what certifies it
+class Iterates(Protocol):
+    """A design that has come to its end: of several controllers that are compared the certificate
+    of the chosen one alone is made.
+    """
+
+    @property
+    def controller(self) -> StateSpace: ...
+
+    @property
+    def interrupted(self) -> bool: ...
+
+    @property
+    def certified(self) -> Synthesis: ...
+
+
+def certified(made: Synthesis | Iterates) -> Synthesis:
+    """The controller with its certificate."""
+    return made if isinstance(made, Synthesis) else made.certified
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -497,47 +514,51 @@ def tune_control_weight(
     plant: Plant | GeneralizedPlant,
     weights: Weights,
     reference_controller: Any,
-    synthesize: Callable[[GeneralizedPlant], Synthesis],
+    synthesize: Callable[[GeneralizedPlant], Synthesis | Iterates],
     *,
     uncertain: bool = True,
     tolerance: float = 0.02,
     max_syntheses: int = 12,
-    begin: Callable[[GeneralizedPlant], Begun] | None = None,
 ) -> Tuning:
     """W_u multiplied by the factor at which the synthesised controller's direct gains match the
     reference's in the band.
 
     plant, weights, uncertain: as for ``design_plant``. reference_controller: err_<axis> ->
-    u_<axis>, usually the PID. synthesize: design problem -> Synthesis (H-infinity, mu). tolerance
-    [-]: of the mean ln ratio, 0.02 is 2 % of gain. A bracketing secant search in ln(factor); where
-    the gains cannot be matched the nearest is returned with converged False. begin: in place of
-    ``synthesize``, where certificates take long: of the last controller alone it is made. Raises
-    what ``synthesize`` raises for the weights it is first given.
+    u_<axis>, usually the PID. synthesize: design problem -> Synthesis (H-infinity), or what becomes
+    one (mu). tolerance [-]: of the mean ln ratio, 0.02 is 2 % of gain. A bracketing secant search
+    in ln(factor); where the gains cannot be matched, or at Ctrl-C, the nearest is returned with
+    converged False. Raises what ``synthesize`` raises for the weights it is first given.
     """
     check_positive(tolerance, "tolerance", "0.02 is 2 % of gain")
-    trials: dict[float, tuple[Callable[[], Synthesis], float]] = {}
-
-    def begun(problem: GeneralizedPlant) -> Begun:
-        made = synthesize(problem)
-        return made.controller, lambda: made
+    trials: dict[float, tuple[Synthesis | Iterates, float]] = {}
 
     def mismatch(x: float) -> float:
-        controller, finish = (begin or begun)(
+        made = synthesize(
             design_plant(plant, scale_control(weights, float(np.exp(x))), uncertain=uncertain)
         )
-        trials[x] = finish, direct_gain_mismatch(controller, reference_controller)[0]
+        trials[x] = made, direct_gain_mismatch(made.controller, reference_controller)[0]
+        if not isinstance(made, Synthesis) and made.interrupted:
+            raise KeyboardInterrupt
         return trials[x][1]
 
-    _search(mismatch, tolerance, max_syntheses)
+    interrupted = False
+    try:
+        _search(mismatch, tolerance, max_syntheses)
+    except KeyboardInterrupt:
+        if not trials:
+            raise
+        interrupted = True
     x = min(trials, key=lambda key: abs(trials[key][1]))
-    finish, mean = trials[x]
+    made, mean = trials[x]
+    found = certified(made)
+    if interrupted:
+        found = replace(found, stopped_early=f"its control weight, {INTERRUPTED}")
     history = tuple(
         {"factor": float(np.exp(key)), "mismatch": value} for key, (_, value) in trials.items()
     )
     factor = float(np.exp(x))
-    return Tuning(
-        scale_control(weights, factor), finish(), factor, mean, abs(mean) <= tolerance, history
-    )
+    met = abs(mean) <= tolerance
+    return Tuning(scale_control(weights, factor), found, factor, mean, met, history)
 
 
 def _search(function: Callable[[float], float], tolerance: float, most: int) -> None:

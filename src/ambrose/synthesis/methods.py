@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ambrose.model.plant import Plant
     from ambrose.record.response import Response
     from ambrose.synthesis.fixed_order.job import Law
-    from ambrose.synthesis.hinf import Begun
+    from ambrose.synthesis.hinf import Iterates
 
 
 # What every method of design has: a name, when the loop runs, and a controller for a plant.
@@ -104,6 +104,13 @@ class Lowered(Method):
 # What H-infinity, mu and polished mu share: the machine's weights, and a reduced design model.
 
 
+def interrupted(result: Synthesis) -> bool:
+    """Whether a design was ended by Ctrl-C, and does not go on."""
+    from ambrose.judge.result import INTERRUPTED
+
+    return (result.stopped_early or "").endswith(INTERRUPTED)
+
+
 SCALING_ORDER = 1  # d(s) I of first order for mu: 20 -> 24 states on the seal rig, as in P5
 
 
@@ -136,13 +143,8 @@ class Weighted(Lowered):
     )
 
     @abstractmethod
-    def minimise(self, problem: GeneralizedPlant) -> Synthesis:
+    def minimise(self, problem: GeneralizedPlant, progress: Progress) -> Synthesis | Iterates:
         """The controller of a design problem."""
-
-    def begin(self, problem: GeneralizedPlant) -> Begun:
-        """The same, and what certifies it: of several it is compared first."""
-        made = self.minimise(problem)
-        return made.controller, lambda: made
 
     def refine(
         self,
@@ -184,7 +186,7 @@ class Weighted(Lowered):
         result, peak = self._designed(plant, weights, matched, progress)
         quantity = "maximum singular value of a sensitivity"
         limit = demand(quantity, machine.requirements).limit or SENSITIVITY.limits[0].value
-        if not matched or self.match_reference or peak <= limit:
+        if not matched or self.match_reference or peak <= limit or interrupted(result):
             return result
 
         # comparable gains were nobody's wish: the file's own weights, where they do better
@@ -206,7 +208,7 @@ class Weighted(Lowered):
         from ambrose.law.design_problem import design_plant
         from ambrose.law.pid import pid_controller
         from ambrose.model.uncertainty import reduce
-        from ambrose.synthesis.hinf import direct_gain_mismatch
+        from ambrose.synthesis.hinf import certified, direct_gain_mismatch
 
         machine, timing = plant.machine, self.timing()
         model, uncertain = self.design_model(plant)
@@ -217,7 +219,8 @@ class Weighted(Lowered):
         if matched:
             result, weights = _as_strong(model, weights, reference, self, uncertain, progress)
         else:
-            result = self.minimise(design_plant(model, weights, uncertain=uncertain))
+            problem = design_plant(model, weights, uncertain=uncertain)
+            result = certified(self.minimise(problem, progress))
         result = self.refine(result, model, weights, plant, progress)
         if timing is not None:
             nominal = design_plant(reduce(plant, self.bending_modes or 0), weights, uncertain=False)
@@ -301,7 +304,11 @@ def _as_strong(
             "add the reference controller",
         )
     tuned = tune_control_weight(
-        model, weights, reference, method.minimise, uncertain=uncertain, begin=method.begin
+        model,
+        weights,
+        reference,
+        lambda problem: method.minimise(problem, progress),
+        uncertain=uncertain,
     )
     progress(
         f"control weight times {tuned.factor:.3g}: direct gains {100 * tuned.mismatch:+.1f} % "
@@ -328,13 +335,10 @@ class Hinf(Spanning):
         """Whether the machine file has [weights]."""
         return plant.machine.weights is not None
 
-    def minimise(self, problem: GeneralizedPlant) -> Synthesis:
+    def minimise(self, problem: GeneralizedPlant, progress: Progress) -> Synthesis | Iterates:
         from ambrose.synthesis.hinf import hinf_synthesis
-        from ambrose.synthesis.mu import mu_synthesis
 
-        if self.envelope:
-            return mu_synthesis(problem, order=SCALING_ORDER)
-        return hinf_synthesis(problem)
+        return mu_controller(problem, progress) if self.envelope else hinf_synthesis(problem)
 
 
 # Method "mu": D-K iteration over the machine's tolerances.
@@ -353,14 +357,11 @@ class Mu(Spanning):
         """Whether the machine file has [weights] and a [[tolerance]]."""
         return plant.machine.weights is not None and bool(plant.machine.tolerances)
 
-    def minimise(self, problem: GeneralizedPlant) -> Synthesis:
-        return self.begin(problem)[1]()
-
-    def begin(self, problem: GeneralizedPlant) -> Begun:
-        return mu_controller(problem)
+    def minimise(self, problem: GeneralizedPlant, progress: Progress) -> Iterates:
+        return mu_controller(problem, progress)
 
 
-def mu_controller(problem: GeneralizedPlant) -> Begun:
+def mu_controller(problem: GeneralizedPlant, progress: Progress) -> Iterates:
     """The controller of a design problem by D-K iteration; of one that was solved before in this
     run, the same again: a polished controller begins as the mu controller beside it.
     """
@@ -369,8 +370,9 @@ def mu_controller(problem: GeneralizedPlant) -> Begun:
 
     matrices = tuple(getattr(problem.system, letter).tobytes() for letter in "ABCD")
     key = (matrices, problem.w, problem.u, problem.z, problem.y, problem.blocks)
-    found = recalled("mu", key, lambda: mu_iterates(problem, order=SCALING_ORDER))
-    return found.controller, lambda: recalled("certified mu", key, found.finish)
+    return recalled(
+        "mu", key, lambda: mu_iterates(problem, order=SCALING_ORDER, progress=progress)
+    )
 
 
 # Method "pid": the machine's own reference controller.
@@ -424,11 +426,8 @@ class Polish(Weighted):
         """As of mu."""
         return Mu.suits(plant)
 
-    def minimise(self, problem: GeneralizedPlant) -> Synthesis:
-        return self.begin(problem)[1]()
-
-    def begin(self, problem: GeneralizedPlant) -> Begun:
-        return mu_controller(problem)
+    def minimise(self, problem: GeneralizedPlant, progress: Progress) -> Iterates:
+        return mu_controller(problem, progress)
 
     def refine(
         self,
@@ -443,6 +442,8 @@ class Polish(Weighted):
         from ambrose.synthesis.fixed_order.polish import JUDGED_ROUNDS, polish_synthesis
         from ambrose.synthesis.order_selection import sampled_sensitivity
 
+        if interrupted(start):
+            return replace(start, notes=(*start.notes, "not polished: it was interrupted before"))
         timing = self.timing()
         judge = None
         delay_states = 0
@@ -568,7 +569,7 @@ class Tuned(Method):
         from ambrose.law.pid import first_settings, pid_controller
         from ambrose.synthesis.fixed_order.bank import BANKS
         from ambrose.synthesis.fixed_order.tuning import tune_controller
-        from ambrose.synthesis.hinf import direct_gain_mismatch
+        from ambrose.synthesis.hinf import certified, direct_gain_mismatch
 
         machine = plant.machine
         settings = machine.reference or first_settings(machine)

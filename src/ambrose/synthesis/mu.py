@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -35,6 +36,7 @@ from ambrose.core.processes import TimeLimit
 from ambrose.core.statespace import StateSpace, poles, spectral_abscissa
 from ambrose.judge.result import (
     CERTIFYING,
+    INTERRUPTED,
     Certificate,
     Status,
     Synthesis,
@@ -118,7 +120,7 @@ def mu_synthesis(
         omega=omega,
         time_limit=time_limit,
         progress=progress,
-    ).finish()
+    ).certified
 
 
 @named_failure("the mu controller")
@@ -176,7 +178,7 @@ def mu_iterates(
     except (KeyboardInterrupt, AmbroseError, np.linalg.LinAlgError) as stop:
         # not the time that was left to an inner step
         late = job.clock.reached if job.clock.left <= 0 else str(stop)
-        reason = "interrupted" if isinstance(stop, KeyboardInterrupt) else late
+        reason = INTERRUPTED if isinstance(stop, KeyboardInterrupt) else late
         if not iterates:
             raise
         if isinstance(stop, KeyboardInterrupt):
@@ -495,7 +497,7 @@ def _best(job: _Job, iterates: Sequence[_Iterate]) -> _Iterate:
     return best
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class MuIterates:
     """A D-K iteration that has come to its end; left [s]: of its time limit."""
 
@@ -509,7 +511,12 @@ class MuIterates:
         """Of the best iterate."""
         return _best(self.job, self.iterates).controller
 
-    def finish(self) -> Synthesis:
+    @property
+    def interrupted(self) -> bool:
+        return self.reason == INTERRUPTED
+
+    @cached_property
+    def certified(self) -> Synthesis:
         """The best iterate with its certificate, and mixed mu of them all."""
         job = self.job
         if self.left > 0:  # what was computed since is not this iteration's

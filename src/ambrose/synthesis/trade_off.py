@@ -15,14 +15,14 @@ from ambrose.core.presentation import Presented, data_frame, with_unit
 from ambrose.core.processes import TimeLimit
 from ambrose.core.statespace import StateSpace
 from ambrose.judge.plants import envelope_of
-from ambrose.judge.result import Synthesis
+from ambrose.judge.result import INTERRUPTED, Synthesis
 from ambrose.law.pid import first_settings, pid_controller
 from ambrose.machine.machine import Machine
 from ambrose.machine.units import DIMENSIONS, read_quantity, suggestion
 from ambrose.model.assemble import assemble
 from ambrose.synthesis.fixed_order.channels import aims_of
 from ambrose.synthesis.fixed_order.job import Job, Law, first_law, prepare, with_states
-from ambrose.synthesis.fixed_order.tuning import AGAIN, INTERRUPTED, tuned
+from ambrose.synthesis.fixed_order.tuning import AGAIN, tuned
 from ambrose.synthesis.methods import Tuned
 
 ORDER = "order"

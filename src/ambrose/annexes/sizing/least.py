@@ -23,7 +23,7 @@ from ambrose.core.presentation import Presented, data_frame
 from ambrose.core.statespace import StateSpace
 from ambrose.judge.loop_response import beyond_reach, unavoidable_sensitivity
 from ambrose.judge.plants import envelope_of
-from ambrose.judge.result import Synthesis
+from ambrose.judge.result import INTERRUPTED, Synthesis
 from ambrose.judge.unbalance import capacity_margin
 from ambrose.law.pid import first_settings, pid_controller
 from ambrose.machine.criteria import SENSITIVITY, demand
@@ -38,7 +38,7 @@ from ambrose.model.plant import top_speed
 from ambrose.model.static_load import operating_magnets, static_sag
 from ambrose.synthesis.design import design
 from ambrose.synthesis.fixed_order.job import Job, Law, first_law, prepare, with_states
-from ambrose.synthesis.fixed_order.tuning import AGAIN, INTERRUPTED, tuned
+from ambrose.synthesis.fixed_order.tuning import AGAIN, tuned
 from ambrose.synthesis.methods import Mu, Tuned
 from ambrose.synthesis.trade_off import lowest
 

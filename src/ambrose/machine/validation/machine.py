@@ -29,6 +29,7 @@ from ambrose.machine.part import (
     SEAL_AXES,
     SEAL_COEFFICIENTS,
     GasSealGeometry,
+    Part,
     Seal,
     SealTable,
     constant_under_pressure,
@@ -635,8 +636,32 @@ def problems(machine: MachineDescription) -> tuple[str, ...]:
             _weights,
         ),
     )
-    first = tuple(_sizes(machine)) or tuple(_not_finite(machine, "")) or tuple(impossible(machine))
-    return first or tuple(line for check in checks for line in check(machine))
+    unseen = {
+        item.name: value
+        for item in fields(machine)
+        if (value := getattr(machine, item.name)) is not _sound.get(id(value), _NONE)
+    }
+    first = (
+        tuple(_sizes(machine))
+        or tuple(line for name, value in unseen.items() for line in _not_finite(value, name))
+        or tuple(impossible(machine, unseen))
+    )
+    if first:
+        return first
+    if len(_sound) > _MANY:
+        _sound.clear()
+    _sound.update(
+        {id(value): value for value in unseen.values() if isinstance(value, tuple | Part)}
+    )
+    return tuple(line for check in checks for line in check(machine))
+
+
+# Parts, and tuples of them, whose numbers were looked at one by one and are finite and possible, by
+# their identity, which nobody else has while they are held here: of a machine with one part
+# replaced, as for every member of a box or step of an identification, that part alone is looked at.
+_sound: dict[int, object] = {}
+_MANY = 2000
+_NONE = object()
 
 
 def _sizes(machine: MachineDescription) -> Iterator[str]:

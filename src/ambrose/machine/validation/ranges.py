@@ -6,7 +6,7 @@ doubted.
 """
 
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from importlib.resources import files
@@ -104,10 +104,16 @@ def _most(path: str, dimension: str) -> tuple[float, str]:
     return (_MOST, "no machine has more") if row is None else (read_quantity(row[0], kind), row[1])
 
 
-def numbers_of(machine: MachineDescription) -> Iterator[Entry]:
-    """Every numeric key that a machine gives, its defaults included."""
+def numbers_of(
+    machine: MachineDescription, among: Container[str] | None = None
+) -> Iterator[Entry]:
+    """Every numeric key that a machine gives, its defaults included. among: of these fields and the
+    machine's own numbers alone.
+    """
     seen: set[int] = set()
     for item in fields(machine):
+        if among is not None and item.name not in among:
+            continue
         value, key = getattr(machine, item.name), item.metadata.get("key", item.name)
         if key == "effects":
             for table, parts in by_table(value).items():
@@ -199,9 +205,11 @@ def _flat(value: Any) -> tuple[float, ...]:
     return (value,) if isinstance(value, int | float) else ()
 
 
-def impossible(machine: MachineDescription) -> Iterator[str]:
-    """Every number that no machine can have, a line each."""
-    for entry in numbers_of(machine):
+def impossible(
+    machine: MachineDescription, among: Container[str] | None = None
+) -> Iterator[str]:
+    """Every number that no machine can have, a line each; among: as of ``numbers_of``."""
+    for entry in numbers_of(machine, among):
         most, why = _most(entry.path, entry.dimension)
         unit = DIMENSIONS[entry.dimension].unit.strip("-")
         for value in entry.values:

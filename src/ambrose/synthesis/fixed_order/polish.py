@@ -30,7 +30,7 @@ from ambrose.core.mu.all_frequencies import proved_below
 from ambrose.core.norms import hinf_norm
 from ambrose.core.processes import TimeLimit
 from ambrose.core.statespace import StateSpace, as_statespace, is_stable, poles, spectral_abscissa
-from ambrose.judge.result import CERTIFYING, Certificate, Status, Synthesis, fastest_pole
+from ambrose.judge.result import CERTIFYING, INTERRUPTED, Certificate, Status, Synthesis, fastest_pole
 from ambrose.law.design_problem import PERFORMANCE, with_performance_block
 from ambrose.synthesis.fixed_order.structure import decoupled_blocks, reduce_controller
 
@@ -481,7 +481,7 @@ def polish_synthesis(
                 reason = job.clock.reached
                 break
     except KeyboardInterrupt:
-        reason = "interrupted"
+        reason = INTERRUPTED
         job.say(CERTIFYING)
     if not np.isfinite(best.worst):
         raise NumericalFailure(

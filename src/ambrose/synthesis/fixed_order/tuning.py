@@ -22,6 +22,7 @@ from ambrose.core.statespace import StateSpace, select
 from ambrose.judge.campbell import held_to, modes, pole_checks
 from ambrose.judge.result import (
     CERTIFYING,
+    INTERRUPTED,
     Certificate,
     Status,
     Synthesis,
@@ -148,7 +149,6 @@ def _corners(count: int) -> np.ndarray:
 
 
 _POWERS = (10, 24, 60, 120, 120)  # even
-INTERRUPTED = "interrupted"
 # no round follows one of this power after which all, new members too, meet all with this room, and
 # where these are no worse than what was tuned on by more than this factor
 _SHARP, _ROOM = 60, 0.9
