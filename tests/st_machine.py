@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import cache, lru_cache
 from typing import Any
 
 from blark.parse import new_parser, parse_source_code
@@ -18,13 +19,20 @@ _OPS = {"<>": "!=", "=": "==", "AND": "and", "OR": "or", "MOD": "%"}
 _FUNCTIONS = {"TRUNC": "int", "DINT_TO_LREAL": "float"}
 
 
+@cache
+def parser() -> Any:
+    """Of blark, made once: its grammar takes longer to read than most sources."""
+    return new_parser()
+
+
+@lru_cache(maxsize=64)
 def parsed(source: str) -> Any:
     """The first unit of the source as blark's dataclasses; a syntax error fails the test. Comments
     are checked by hand: the parser is slow with them.
     """
     plain = re.sub(r"\(\*.*?\*\)", "", source, flags=re.DOTALL)
     assert "(*" not in plain and "*)" not in plain
-    result = parse_source_code(plain, parser=new_parser())
+    result = parse_source_code(plain, parser=parser())
     assert result.exception is None, result.exception
     return result.transform().items[0]
 

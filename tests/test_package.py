@@ -138,7 +138,7 @@ def installed(request, tmp_path_factory):
         path for path in sys.path if Path(path).name in {"site-packages", "dist-packages"}
     ]
     (site / "dependencies.pth").write_text("\n".join(dependencies) + "\n", encoding="utf-8")
-    command = f"-m pip --python {python} install --quiet --disable-pip-version-check --no-deps"
+    command = f"-m pip --python {python} install --quiet --disable-pip-version-check --no-deps --no-compile"
     subprocess.run(
         [
             sys.executable,

@@ -358,19 +358,14 @@ def page_of(result: Any, *beside: Any, **options: Any) -> Page:
 
 def render(page: Page) -> str:
     """The page as text."""
-    from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 
-    template = files("ambrose.report").joinpath("templates/page.html.j2").read_text("utf-8")
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
     sections = [page.opening or Section(""), *page.sections]
     pictures = [figure for section in sections for figure in section.figures]
     head = itertools.chain(*page.head, *((item.label, item.text) for item in page.verdicts))
     first = sections[0].words + len(" ".join(head).split())
     read = itertools.accumulate((section.words for section in page.sections), initial=first)
-    return environment.from_string(template).render(
+    return _layout().render(
         page=page,
         # from the top, as many as a reader takes in
         open=sum(words <= _OPEN for words in read) - 1,
@@ -382,6 +377,18 @@ def render(page: Page) -> str:
         data=[Markup(packed(figure.picture.to_json())) for figure in pictures],
         library=Markup(_packed_once(get_library())) if pictures else "",
     )
+
+
+@lru_cache(maxsize=1)
+def _layout() -> Any:
+    """The template of every page, compiled once."""
+    from jinja2 import Environment, StrictUndefined
+
+    text = files("ambrose.report").joinpath("templates/page.html.j2").read_text("utf-8")
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.from_string(text)
 
 
 def css_string(text: str) -> str:

@@ -84,7 +84,7 @@ def test_a_trace_without_effect_is_no_doubt_and_one_with_effect_is(off, harmless
     result = done.result
     assert all(test.passed for test in result.tests) is harmless  # blind to a fiftieth of a sample
     assert result.adequate is harmless and done.passed is harmless
-    assert "controller.delay" in result.verdict and "change the values by up to" in result.verdict
+    assert "controller.delay" in result.verdict and "its effect, up to" in result.verdict
     if harmless:
         true = nominal_values(plant, KNOWN)
         assert (np.abs(result.values - true) < 1.96 * result.standard_deviations).all()

@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any, ClassVar, Self
 
@@ -34,17 +35,23 @@ def render(template: str, values: Mapping[str, Any], autoescape: bool = False) -
     """The text of a template. autoescape: for XML and HTML; elsewhere names are checked and
     comments made safe.
     """
+    return _templates(autoescape).get_template(template).render(values)
+
+
+@lru_cache(maxsize=2)
+def _templates(autoescape: bool) -> Any:
+    """All templates, each compiled once."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    environment = Environment(
+    return Environment(
         loader=PackageLoader("ambrose.code"),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
         autoescape=autoescape,
+        auto_reload=False,
     )
-    return environment.get_template(template).render(values)
 
 
 # Names that become identifiers in generated code, and text that becomes a comment.

@@ -531,14 +531,14 @@ def judged(
     k = int(relative.max(axis=0).argmax())
     effect = float(relative[:, k].max())
     named = causes(suspected)
-    moved = f"the values by up to {100 * effect:.2g} % ({result.paths[k]})"
+    moved = f"up to {100 * effect:.2g} % of {result.paths[k]}"
     if not effect:
-        moved = "no value by more than its standard deviation"
+        moved = "within a standard deviation of every value"
         if (moves > result.standard_deviations).any():
-            moved = "the values by no more than the magnets' nonlinearity explains"
+            moved = "no larger than the magnets' nonlinearity explains"
     lacking = (
-        f"one more unknown would explain a part of the residuals, the likeliest first: {named}; "
-        f"it would change {moved}, which the intervals include"
+        f"one more unknown may be missing, the likeliest first: {named}; the intervals include its "
+        f"effect, {moved}"
     )
     verdict = verdict_of(result.tests, result.converged, lacking)
     warnings = [finding for finding in result.warnings if finding.code != Code.RESIDUALS]
