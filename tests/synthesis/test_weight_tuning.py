@@ -130,7 +130,7 @@ def test_ctrl_c_keeps_the_nearest_controller(swallowed):
 
     found = tune(synthesize, tolerance=1e-6)
     assert len(found.history) == 1 + swallowed and not found.converged
-    assert found.synthesis.stopped_early == "its control weight, interrupted"
+    assert found.synthesis.stopped_early == "the search for its control weight was interrupted"
     assert abs(found.mismatch) == min(abs(row["mismatch"]) for row in found.history)
 
 

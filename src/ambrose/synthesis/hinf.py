@@ -43,7 +43,13 @@ from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.norms import hinf_norm
 from ambrose.core.processes import REMEDY, TimeLimit
 from ambrose.core.statespace import ControllerLike, StateSpace, as_statespace, is_stable, select
-from ambrose.judge.result import INTERRUPTED, Certificate, Status, Synthesis, generalized_certificate
+from ambrose.judge.result import (
+    INTERRUPTED,
+    Certificate,
+    Status,
+    Synthesis,
+    generalized_certificate,
+)
 from ambrose.law.design_problem import Weights, design_plant, scale_control
 from ambrose.model.plant import Plant
 
@@ -552,7 +558,7 @@ def tune_control_weight(
     made, mean = trials[x]
     found = certified(made)
     if interrupted:
-        found = replace(found, stopped_early=f"its control weight, {INTERRUPTED}")
+        found = replace(found, stopped_early=f"the search for its control weight was {INTERRUPTED}")
     history = tuple(
         {"factor": float(np.exp(key)), "mismatch": value} for key, (_, value) in trials.items()
     )
