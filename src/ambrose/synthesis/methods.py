@@ -370,9 +370,7 @@ def mu_controller(problem: GeneralizedPlant, progress: Progress) -> Iterates:
 
     matrices = tuple(getattr(problem.system, letter).tobytes() for letter in "ABCD")
     key = (matrices, problem.w, problem.u, problem.z, problem.y, problem.blocks)
-    return recalled(
-        "mu", key, lambda: mu_iterates(problem, order=SCALING_ORDER, progress=progress)
-    )
+    return recalled("mu", key, lambda: mu_iterates(problem, order=SCALING_ORDER, progress=progress))
 
 
 # Method "pid": the machine's own reference controller.
@@ -569,7 +567,7 @@ class Tuned(Method):
         from ambrose.law.pid import first_settings, pid_controller
         from ambrose.synthesis.fixed_order.bank import BANKS
         from ambrose.synthesis.fixed_order.tuning import tune_controller
-        from ambrose.synthesis.hinf import certified, direct_gain_mismatch
+        from ambrose.synthesis.hinf import direct_gain_mismatch
 
         machine = plant.machine
         settings = machine.reference or first_settings(machine)

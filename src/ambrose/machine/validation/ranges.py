@@ -104,9 +104,7 @@ def _most(path: str, dimension: str) -> tuple[float, str]:
     return (_MOST, "no machine has more") if row is None else (read_quantity(row[0], kind), row[1])
 
 
-def numbers_of(
-    machine: MachineDescription, among: Container[str] | None = None
-) -> Iterator[Entry]:
+def numbers_of(machine: MachineDescription, among: Container[str] | None = None) -> Iterator[Entry]:
     """Every numeric key that a machine gives, its defaults included. among: of these fields and the
     machine's own numbers alone.
     """
@@ -205,9 +203,7 @@ def _flat(value: Any) -> tuple[float, ...]:
     return (value,) if isinstance(value, int | float) else ()
 
 
-def impossible(
-    machine: MachineDescription, among: Container[str] | None = None
-) -> Iterator[str]:
+def impossible(machine: MachineDescription, among: Container[str] | None = None) -> Iterator[str]:
     """Every number that no machine can have, a line each; among: as of ``numbers_of``."""
     for entry in numbers_of(machine, among):
         most, why = _most(entry.path, entry.dimension)

@@ -30,7 +30,14 @@ from ambrose.core.mu.all_frequencies import proved_below
 from ambrose.core.norms import hinf_norm
 from ambrose.core.processes import TimeLimit
 from ambrose.core.statespace import StateSpace, as_statespace, is_stable, poles, spectral_abscissa
-from ambrose.judge.result import CERTIFYING, INTERRUPTED, Certificate, Status, Synthesis, fastest_pole
+from ambrose.judge.result import (
+    CERTIFYING,
+    INTERRUPTED,
+    Certificate,
+    Status,
+    Synthesis,
+    fastest_pole,
+)
 from ambrose.law.design_problem import PERFORMANCE, with_performance_block
 from ambrose.synthesis.fixed_order.structure import decoupled_blocks, reduce_controller
 
