@@ -335,8 +335,8 @@ def _linear_parts(rig: Rig, drive: Drive) -> tuple[np.ndarray, np.ndarray, np.nd
         rig.port_names,
         rig.mass,
     )
-    A = np.column_stack([slope(straight, drive, e, silent) for e in np.eye(rig.states)])
-    return A, np.column_stack([slope(straight, drive, nothing, e) for e in np.eye(a)]), w
+    A = slopes(straight, drive, np.eye(rig.states), silent[None]).T
+    return A, slopes(straight, drive, nothing[None], np.eye(a)).T, w
 
 
 def _magnets(rig: Rig, places: np.ndarray, currents: np.ndarray) -> np.ndarray:
@@ -413,9 +413,15 @@ _DOWN = -np.pi / 2  # where a weightless rotor rests
 
 def slope(rig: Rig, drive: Drive, z: np.ndarray, u: np.ndarray) -> np.ndarray:
     """dz/dt (n,) with the amplifiers told u (a,), at the start of the drive."""
-    dz = np.zeros_like(z)
-    compiled()[1](rig.constants, drive, 0, np.asarray(u, dtype=float), z, rig.work(), dz)
-    return dz
+    return slopes(rig, drive, z[None], u[None])[0]
+
+
+def slopes(rig: Rig, drive: Drive, Z: np.ndarray, U: np.ndarray) -> np.ndarray:
+    """``slope`` (p, n) of states Z (p or 1, n) with U (p or 1, a)."""
+    count = max(len(Z), len(U))
+    Z, U = (np.array(np.broadcast_to(X, (count, X.shape[1])), dtype=float) for X in (Z, U))
+    compiled()[1](rig.constants, drive, 0, U, Z, rig.work(), dZ := np.zeros_like(Z))
+    return dZ
 
 
 def measurement(rig: Rig) -> np.ndarray:
@@ -509,17 +515,20 @@ def levitated_state(
     aim = -mean @ rig.constants.sensor[:, 1]
     q, x = np.zeros(n), np.zeros(m)
 
-    def force(q: np.ndarray, u: np.ndarray) -> np.ndarray:
-        return slope(rig, drive, state_at_rest(rig, q, u), u)[n : 2 * n]
+    def force(Q: np.ndarray, U: np.ndarray) -> np.ndarray:
+        Z = np.array([state_at_rest(rig, q, u) for q in Q for u in U])
+        return slopes(rig, drive, Z, U)[:, n : 2 * n]
 
     for _ in range(_ITERATIONS):
         u = law.C @ x + law.D @ (aim - S @ q)
         # unknowns (q, x): accelerations f(q, u) = 0 and (A - I) x + B e = 0, with u = C x + D e
-        missing = np.concatenate([force(q, u), (law.A - np.eye(m)) @ x + law.B @ (aim - S @ q)])
+        at, told = q[None], u[None]
+        moved = (law.A - np.eye(m)) @ x + law.B @ (aim - S @ q)
+        missing = np.concatenate([force(at, told)[0], moved])
 
         # Jacobian by (q, x): du = C dx - D S dq, de = -S dq
-        by_place = _differences(lambda q, u=u: force(q, u), q, 1e-8)  # type: ignore[misc]
-        by_current = _differences(lambda u, q=q: force(q, u), u, 1e-6)  # type: ignore[misc]
+        by_place = _differences(lambda Q, told=told: force(Q, told), q, 1e-8)  # type: ignore[misc]
+        by_current = _differences(lambda U, at=at: force(at, U), u, 1e-6)  # type: ignore[misc]
         matrix = np.block(
             [
                 [by_place - by_current @ law.D @ S, by_current @ law.C],
@@ -606,21 +615,20 @@ def linear_view(
             np.full(rig.states - rig.sensed.start, 1e-8),
         ]
     )
-    A = _differences(lambda z: slope(rig, drive, z, u), z, size)
-    return A, _differences(lambda u: slope(rig, drive, z, u), u, 1e-5)
+    A = _differences(lambda Z: slopes(rig, drive, Z, u[None]), z, size)
+    return A, _differences(lambda U: slopes(rig, drive, z[None], U), u, 1e-5)
 
 
 def _differences(
     function: Callable[[np.ndarray], np.ndarray], at: np.ndarray, size: float | np.ndarray
 ) -> np.ndarray:
+    """The derivative (m, n) at a point (n,) of a function of points (p, n) with values (p, m), by
+    central differences of ``size``.
+    """
     size = np.broadcast_to(size, at.shape)
-    columns = []
-    for i, h in enumerate(size):
-        low, high = at.copy(), at.copy()
-        low[i] -= h
-        high[i] += h
-        columns.append((function(high) - function(low)) / (2 * h))
-    return np.column_stack(columns)
+    steps = np.diag(size)
+    low, high = np.split(function(np.concatenate([at - steps, at + steps])), 2)
+    return ((high - low) / (2 * size[:, None])).T
 
 
 def fastest_pole(rig: Rig, drives: list[Drive]) -> float:

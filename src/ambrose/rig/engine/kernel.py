@@ -631,7 +631,7 @@ def _log(rig: Any, work: Any, z: Any, y: Any, u: Any, row: Any) -> None:
 
 
 def entry_points(fingerprint: int) -> tuple[Any, Any]:
-    """``advance`` and ``slope``, compiled; kept on disk for the next process under a fingerprint of
+    """``advance`` and ``slopes``, compiled; kept on disk for the next process under a fingerprint of
     all that they contain.
 
     Numba's own cache sees changes of this file only, and not of the force functions that are
@@ -695,16 +695,17 @@ def entry_points(fingerprint: int) -> tuple[Any, Any]:
                 return k
         return seen.shape[0]
 
-    def slope(rig: Any, drive: Any, k: int, u: Any, z: Any, work: Any, dz: Any) -> None:
-        """dz/dt with the amplifiers told u (a,), at the start of sample k.
+    def slopes(rig: Any, drive: Any, k: int, u: Any, z: Any, work: Any, dz: Any) -> None:
+        """dz/dt (p, n) of p states z with the amplifiers told u (p, a), at the start of sample k.
 
         k is given: a literal 0 would be a type of its own, and all stages compiled once more for
         it.
         """
         assert fingerprint
-        for a in range(u.shape[0]):
-            work.command[a] = u[a]
-        _derivative(rig, work, drive, k, 0.0, z, dz)
+        for p in range(z.shape[0]):
+            for a in range(u.shape[1]):
+                work.command[a] = u[p, a]
+            _derivative(rig, work, drive, k, 0.0, z[p], dz[p])
 
-    advanced, sloped = compile_kept((advance, slope), **OPTIONS)
+    advanced, sloped = compile_kept((advance, slopes), **OPTIONS)
     return advanced, sloped
