@@ -245,18 +245,34 @@ def schur_form(
         return SchurForm(A, B, C, D)
     T, Q = sla.schur(A, output="complex" if np.iscomplexobj(A) else "real")
     left, right = Q.conj().T @ (B / t[:, None]), (C * t) @ Q
-    return SchurForm(T, left, right, D, expansion=_expansion(T, left, right) if expand else None)
+    return SchurForm(T, left, right, D, expansion=expansion(T, left, right) if expand else None)
 
 
-def _expansion(
-    T: np.ndarray, left: np.ndarray, right: np.ndarray
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Poles (n,) and residues (n, p m); None where the eigenvectors would cost more than four
-    digits.
+def eigenvectors(A: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Eigenvalues (n,) of A (n, n), right vectors (n, n) and left ones (n, n), left @ right = I;
+    of a real A pairs are neighbours, the one above the real axis first. Raises LinAlgError where a
+    pole is defective to the last digit.
+    """
+    values, right = np.linalg.eig(A)
+    if np.iscomplexobj(A):
+        return values, right, np.linalg.inv(right)
+    # in real columns, [v, conj v] = [Re v, Im v] [[1, 1], [j, -j]]: the rows of the inverse are
+    # (a - j b)/2 and its conjugate
+    pair = np.flatnonzero(values.imag > 0)
+    basis = right.real.copy()
+    basis[:, pair + 1] = right[:, pair].imag
+    left = np.linalg.inv(basis).astype(complex)
+    left[pair] = (left[pair] - 1j * left[pair + 1]) / 2
+    left[pair + 1] = left[pair].conj()
+    return values, right, left
+
+
+def expansion(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Poles (n,) and residues (n, p m) of C (s I - A)^-1 B; None where the eigenvectors would cost
+    more than four digits.
     """
     try:
-        poles, V = np.linalg.eig(T)
-        W = np.linalg.inv(V)
+        poles, V, W = eigenvectors(A)
     except np.linalg.LinAlgError:
         return None
     with np.errstate(over="ignore", invalid="ignore"):
@@ -266,8 +282,8 @@ def _expansion(
     if not (spread <= _SPREAD).all():
         return None
 
-    # residue i = (right v_i)(w_i left), rank one
-    residues = (right @ V).T[:, :, None] * (W @ left)[:, None, :]
+    # residue i = (C v_i)(w_i B), rank one
+    residues = (C @ V).T[:, :, None] * (W @ B)[:, None, :]
     return poles, residues.reshape(len(poles), -1)
 
 

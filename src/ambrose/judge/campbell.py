@@ -20,6 +20,7 @@ import numpy as np
 
 from ambrose.core.aliasing import continuous_poles
 from ambrose.core.checks import InvalidInput, check_shape, invalid, named_failure
+from ambrose.core.frequency import eigenvectors
 from ambrose.core.presentation import Presented
 from ambrose.core.statespace import (
     StateSpace,
@@ -755,19 +756,11 @@ class _Modes:
 
 def _modes(loop: StateSpace) -> _Modes:
     balanced, scale = balance(loop.A)
-    values, right = np.linalg.eig(balanced)
-
-    # in real columns, [v, conj v] = [Re v, Im v] [[1, 1], [j, -j]]: the rows of the inverse are
-    # (a - j b)/2 and its conjugate
-    pair = np.flatnonzero(values.imag > 0)
-    basis = right.real.copy()
-    basis[:, pair + 1] = right[:, pair].imag
     try:
-        left = np.linalg.inv(basis).astype(complex)
+        values, right, left = eigenvectors(balanced)
     except np.linalg.LinAlgError:  # of a defective pole, to the last digit
-        left = np.linalg.pinv(basis).astype(complex)
-    left[pair] = (left[pair] - 1j * left[pair + 1]) / 2
-    left[pair + 1] = left[pair].conj()
+        values, right = np.linalg.eig(balanced)
+        left = np.linalg.pinv(right)
     rate = np.ones(len(values), complex)
     if loop.dt is not None:
         # a pole of a delay at z = 0 is as far to the left as any
