@@ -25,7 +25,8 @@ from ambrose.core.statespace import Names, as_statespace, balance_matrix as bala
 _LEAF = 16  # rows solved one by one at the bottom of the recursion
 _NEAR = 100.0  # points within so many rounding errors of a pole are evaluated one by one
 _CHUNK = 2_000_000  # complex numbers held for one batch of frequencies: 32 MB
-_NETS, _FINER = 7, 9  # one in the other, that end in a peak; points of each
+_NETS, _FINER = 6, 9  # one in the other, that end in a peak, at most; points of each
+_FLAT = 1e-5  # of a gain, by which its neighbours are lower where a parabola is as good: 1e-10
 # of the eigenvectors (norms of right and left ones), up to which residues lose at most these digits
 _SPREAD = 1e4
 
@@ -156,8 +157,8 @@ def largest_gains(values: np.ndarray, axis: int = -1) -> np.ndarray:
 
 def peak_near(gain: Callable[[np.ndarray], np.ndarray], grid: np.ndarray) -> tuple[float, float]:
     """The frequency of the largest gain near the best of an ascending grid (w,), and its value:
-    by nets between the neighbours of the best, each in the one before, then the vertex of the
-    parabola through the best three. gain: of frequencies (w,), (w,).
+    by nets between the neighbours of the best, each in the one before, until these are hardly
+    lower, then the vertex of the parabola through the best three. gain: of frequencies (w,), (w,).
     """
     best = 0.0, -np.inf
     for stage in range(_NETS):
@@ -166,12 +167,17 @@ def peak_near(gain: Callable[[np.ndarray], np.ndarray], grid: np.ndarray) -> tup
         if value[k] > best[1]:
             best = float(grid[k]), float(value[k])
         low, high = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
-        if stage < _NETS - 2 or not low < grid[k] < high:
+        inside = low < grid[k] < high
+        # of even points; what is no parabola goes with the square of how much lower the others are
+        if stage and inside and value[k] - value[k - 1 : k + 2].min() <= _FLAT * value[k]:
+            break
+        if stage < _NETS - 1:
             grid = np.linspace(low, high, _FINER)
-            continue
+    if inside:
         bend = value[k - 1] - 2 * value[k] + value[k + 1]
         share = 0.5 * (value[k - 1] - value[k + 1]) / bend if bend < 0 else 0.0
-        grid = np.array([grid[k] + share * (high - low) / 2])
+        vertex = np.array([grid[k] + share * (high - low) / 2])
+        best = max(best, (float(vertex[0]), float(gain(vertex)[0])), key=lambda item: item[1])
     return best
 
 
