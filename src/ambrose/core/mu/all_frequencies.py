@@ -116,7 +116,8 @@ class Chords:
         """M - D (w, n_z, n_w) in real products, half as long as those of every pole."""
         # 1 / (x + j y) of every section, x = |p|^2 - w^2 and y = -2 a w, or x = p^2 + w^2
         alone, pair = self._kinds()
-        w, size, q = omega[:, None], np.abs(self.poles[pair]), self.poles[alone].real
+        w, size = omega[:, None], np.abs(self.poles[pair])
+        q = self.poles[alone].real
         x = np.hstack([(size - w) * (size + w), q**2 + w**2])
         y = np.hstack([-2 * self.poles[pair].real * w, np.zeros((len(omega), len(alone)))])
         with np.errstate(divide="ignore", invalid="ignore"):
