@@ -15,7 +15,7 @@ from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, append, series, transfer_function
 from ambrose.judge import nominal
 from ambrose.judge.controller_file import read_controller
-from ambrose.judge.plants import judge_stability, plants_along_speed
+from ambrose.judge.plants import judge_stability, plants_along_speed, small_along_speed
 from ambrose.judge.result import (
     Status,
     Synthesis,
@@ -232,7 +232,11 @@ def test_a_schedule_is_judged_as_it_runs_at_every_speed_of_its_grid():
     speeds = plant.point.speed / 2, plant.point.speed
     found = verify_controller(plant, law, rate=1e5).points[0]
     own = nominal.check(
-        plant, Timing(1e-5).in_loop(K), plant_at=plants_along_speed(plant), covered=speeds
+        plant,
+        Timing(1e-5).in_loop(K),
+        plant_at=plants_along_speed(plant),
+        small_at=small_along_speed(plant),
+        covered=speeds,
     )
     # between two equal controllers a third one rounds
     assert [(check.name, check.passed, check.limit) for check in found.checks] == [

@@ -13,6 +13,7 @@ import scipy.linalg as sla
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import (
     FrequencyResponse,
+    eigenvectors,
     evaluate,
     frequency_response,
     largest_gain,
@@ -308,3 +309,13 @@ def test_memory_is_bounded():
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 130e6
+
+
+@pytest.mark.parametrize("kind", ["real", "complex", "real poles"])
+def test_left_and_right_eigenvectors(kind):
+    rng = np.random.default_rng(7)
+    A = rng.standard_normal((9, 9)) + (1j * rng.standard_normal((9, 9)) if kind == "complex" else 0)
+    A = A + A.T if kind == "real poles" else A
+    poles, right, left = eigenvectors(A)
+    np.testing.assert_allclose(left @ right, np.eye(9), atol=1e-12)
+    np.testing.assert_allclose(left @ A @ right, np.diag(poles), atol=1e-12)

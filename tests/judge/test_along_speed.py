@@ -12,8 +12,8 @@ import ambrose as amb
 from ambrose.chain.check import facts
 from ambrose.core.statespace import StateSpace, spectral_abscissa, static_gain
 from ambrose.judge import nominal
-from ambrose.judge.campbell import threshold_check
-from ambrose.judge.plants import judge_stability
+from ambrose.judge.campbell import follow, of_whole, threshold_check
+from ambrose.judge.plants import judge_stability, plants_along_speed, small_along_speed
 from ambrose.judge.synchronous import block_loops, check_block
 from ambrose.law.law import law_of
 from ambrose.law.loop import (
@@ -307,3 +307,41 @@ def test_the_loop_alone_has_the_poles_of_the_closed_loop():
         alone, whole = loop_alone(plant, running), closed_loop(plant, running)
         assert alone.dt == whole.dt
         np.testing.assert_allclose(alone.A, whole.A, rtol=1e-10, atol=1e-10 * abs(whole.A).max())
+
+
+@pytest.mark.parametrize("name", ["overhung-blower", "vertical-pump"])
+def test_a_smaller_plant_finds_the_worst_speed_of_the_full_one(name):
+    """The full plant followed over the speed by itself, against the few speeds at which it is asked
+    where a smaller one leads.
+    """
+    machine = coarse(name)
+    plant, law = assemble(machine), law_of(pid_controller(machine.reference, machine))
+    timing = machine_timing(machine) or Timing(1e-4)
+    asked = []
+
+    def loop_at(plants, w):
+        at = plants(w)
+        asked.append(at.bending_modes is None)
+        return loop_alone(at, running_law(law, at, timing))
+
+    whole, small = (partial(loop_at, at(plant)) for at in (plants_along_speed, small_along_speed))
+    speeds = np.linspace(*machine.operation.running, 11)
+    alone = follow(whole, speeds).abscissa.max()
+    asked.clear()
+    found = follow(small, speeds, critical=True, whole_at=whole)
+    assert found.abscissa.max() == pytest.approx(alone, rel=1e-6)
+    assert sum(asked) <= 8 < asked.count(False)
+    exact = follow(whole, speeds, critical=True).critical
+    assert [w for w, _ in found.critical] == pytest.approx([w for w, _ in exact], rel=1e-2)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_no_whole_loop_that_may_be_the_outermost_is_left_out(seed):
+    rng = np.random.default_rng([54, seed])
+    whole = rng.uniform(-10, 0.5 if seed % 2 else -1, 60)
+    small = whole - rng.uniform(0, 0.2, 60)
+    small[[0, 59]] = whole[[0, 59]] - 0.2  # nothing rises by more than what is known
+    found = small.copy()
+    asked = of_whole(found, (0, 59), lambda k: float(whole[k]))
+    assert asked < 40 and found.max() >= whole.max() - 1e-3 * abs(whole.max())
+    assert (found >= 0).sum() == (whole >= 0).sum()

@@ -93,3 +93,24 @@ def test_the_higher_of_two_peaks_wins_though_the_grid_shows_it_lower():
     peak = peaks_of([lambda r: np.abs(r.G[:, :, 0]).T], response, at)[0][0]
     assert peak.frequency == pytest.approx(second, rel=1e-3)
     assert peak.value == pytest.approx(1 / (2 * zeta * np.sqrt(1 - zeta**2)), rel=1e-6)
+
+
+def test_two_planes_alike_to_rounding_have_one_peak_each():
+    """Poles of two planes apart in the last digits: of two grid points between which there is
+    nothing but rounding neither may be the end of a bracket.
+    """
+    zeta = 1e-2
+    pole = W0 * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    poles = np.array([pole, pole * (1 + 3e-14), pole * (1 - 3e-14)])
+    grid = frequency_grid(poles, 1.0, 1e5)
+    assert (np.diff(grid) > 1e-9 * grid[:-1]).all()
+    assert len(grid) == len(frequency_grid(poles[:1], 1.0, 1e5))
+    at = resonance(zeta)
+
+    def rough(response):
+        """The peak with what rounding adds, of either sign at neighbouring frequencies."""
+        noise = np.where(np.arange(len(response.omega)) % 2, 1e-13, -1e-13)
+        return modulus(response) * (1 + noise)
+
+    for peak in peaks_of([rough], at(grid), at)[0]:
+        assert peak.value == pytest.approx(1 / (2 * zeta * np.sqrt(1 - zeta**2)), rel=1e-7)

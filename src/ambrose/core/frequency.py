@@ -25,7 +25,8 @@ from ambrose.core.statespace import Names, as_statespace, balance_matrix as bala
 _LEAF = 16  # rows solved one by one at the bottom of the recursion
 _NEAR = 100.0  # points within so many rounding errors of a pole are evaluated one by one
 _CHUNK = 2_000_000  # complex numbers held for one batch of frequencies: 32 MB
-_NETS, _FINER = 7, 9  # one in the other, that end in a peak; points of each
+_NETS, _FINER = 6, 9  # one in the other, that end in a peak, at most; points of each
+_FLAT = 1e-5  # of a gain, by which its neighbours are lower where a parabola is as good: 1e-10
 # of the eigenvectors (norms of right and left ones), up to which residues lose at most these digits
 _SPREAD = 1e4
 
@@ -156,8 +157,8 @@ def largest_gains(values: np.ndarray, axis: int = -1) -> np.ndarray:
 
 def peak_near(gain: Callable[[np.ndarray], np.ndarray], grid: np.ndarray) -> tuple[float, float]:
     """The frequency of the largest gain near the best of an ascending grid (w,), and its value:
-    by nets between the neighbours of the best, each in the one before, then the vertex of the
-    parabola through the best three. gain: of frequencies (w,), (w,).
+    by nets between the neighbours of the best, each in the one before, until these are hardly
+    lower, then the vertex of the parabola through the best three. gain: of frequencies (w,), (w,).
     """
     best = 0.0, -np.inf
     for stage in range(_NETS):
@@ -166,12 +167,17 @@ def peak_near(gain: Callable[[np.ndarray], np.ndarray], grid: np.ndarray) -> tup
         if value[k] > best[1]:
             best = float(grid[k]), float(value[k])
         low, high = grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)]
-        if stage < _NETS - 2 or not low < grid[k] < high:
+        inside = low < grid[k] < high
+        # of even points; what is no parabola goes with the square of how much lower the others are
+        if stage and inside and value[k] - value[k - 1 : k + 2].min() <= _FLAT * value[k]:
+            break
+        if stage < _NETS - 1:
             grid = np.linspace(low, high, _FINER)
-            continue
+    if inside:
         bend = value[k - 1] - 2 * value[k] + value[k + 1]
         share = 0.5 * (value[k - 1] - value[k + 1]) / bend if bend < 0 else 0.0
-        grid = np.array([grid[k] + share * (high - low) / 2])
+        vertex = np.array([grid[k] + share * (high - low) / 2])
+        best = max(best, (float(vertex[0]), float(gain(vertex)[0])), key=lambda item: item[1])
     return best
 
 
@@ -245,18 +251,34 @@ def schur_form(
         return SchurForm(A, B, C, D)
     T, Q = sla.schur(A, output="complex" if np.iscomplexobj(A) else "real")
     left, right = Q.conj().T @ (B / t[:, None]), (C * t) @ Q
-    return SchurForm(T, left, right, D, expansion=_expansion(T, left, right) if expand else None)
+    return SchurForm(T, left, right, D, expansion=expansion(T, left, right) if expand else None)
 
 
-def _expansion(
-    T: np.ndarray, left: np.ndarray, right: np.ndarray
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Poles (n,) and residues (n, p m); None where the eigenvectors would cost more than four
-    digits.
+def eigenvectors(A: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Eigenvalues (n,) of A (n, n), right vectors (n, n) and left ones (n, n), left @ right = I;
+    of a real A pairs are neighbours, the one above the real axis first. Raises LinAlgError where a
+    pole is defective to the last digit.
+    """
+    values, right = np.linalg.eig(A)
+    if np.iscomplexobj(A):
+        return values, right, np.linalg.inv(right)
+    # in real columns, [v, conj v] = [Re v, Im v] [[1, 1], [j, -j]]: the rows of the inverse are
+    # (a - j b)/2 and its conjugate
+    pair = np.flatnonzero(values.imag > 0)
+    basis = right.real.copy()
+    basis[:, pair + 1] = right[:, pair].imag
+    left = np.linalg.inv(basis).astype(complex)
+    left[pair] = (left[pair] - 1j * left[pair + 1]) / 2
+    left[pair + 1] = left[pair].conj()
+    return values, right, left
+
+
+def expansion(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Poles (n,) and residues (n, p m) of C (s I - A)^-1 B; None where the eigenvectors would cost
+    more than four digits.
     """
     try:
-        poles, V = np.linalg.eig(T)
-        W = np.linalg.inv(V)
+        poles, V, W = eigenvectors(A)
     except np.linalg.LinAlgError:
         return None
     with np.errstate(over="ignore", invalid="ignore"):
@@ -266,8 +288,8 @@ def _expansion(
     if not (spread <= _SPREAD).all():
         return None
 
-    # residue i = (right v_i)(w_i left), rank one
-    residues = (right @ V).T[:, :, None] * (W @ left)[:, None, :]
+    # residue i = (C v_i)(w_i B), rank one
+    residues = (C @ V).T[:, :, None] * (W @ B)[:, None, :]
     return poles, residues.reshape(len(poles), -1)
 
 

@@ -68,11 +68,12 @@ def proved_margin(loop: BoxLoop, most: float) -> Proved:
     is discontinuous and its scalings grow without bound; each parameter is therefore allowed to be
     complex by 1 % of its size besides, which makes the proof a little stronger than needed.
     """
-    n, e = len(loop.owner), COMPLEX_PART
+    e = COMPLEX_PART
 
     # w + w_c = (delta + e delta_c) z: M11 with outputs (z, e z) and inputs w, w_c that add
-    left, right = np.eye(n, loop.system.D.shape[0]), np.eye(loop.system.D.shape[1], n)
-    both = loop.model.between(np.vstack([left, e * left]), np.hstack([right, right]))
+    few = loop.ports
+    M11 = loop.model.part(few.outputs, few.inputs)
+    both = M11.between(np.vstack([few.out_of, e * few.out_of]), np.hstack([few.into, few.into]))
     blocks: list[Block] = [
         *loop.blocks,
         *(ComplexBlock(f"{block.name} complex", block.repeat) for block in loop.blocks),
@@ -99,7 +100,7 @@ def proved_gain(loop: BoxLoop, start: float, omega: np.ndarray | None = None) ->
     blocks, skew = _with_gain(loop)
     try:
         proved = proved_level(
-            loop.model, blocks, start * (1 + _ROOM), skew=skew, room=_ROOM, omega=omega
+            loop.response, blocks, start * (1 + _ROOM), skew=skew, room=_ROOM, omega=omega
         )
     except FAILURES as error:
         return Proved(float("inf"), why=str(error))

@@ -20,8 +20,14 @@ import numpy as np
 
 from ambrose.core.aliasing import continuous_poles
 from ambrose.core.checks import InvalidInput, check_shape, invalid, named_failure
+from ambrose.core.frequency import eigenvectors
 from ambrose.core.presentation import Presented
-from ambrose.core.statespace import StateSpace, balance_matrix as balance, index_of
+from ambrose.core.statespace import (
+    StateSpace,
+    balance_matrix as balance,
+    index_of,
+    spectral_abscissa,
+)
 from ambrose.judge.checks import Check, Curve, information, judge
 from ambrose.law.law import LawLike
 from ambrose.law.loop import closed_loop
@@ -619,10 +625,16 @@ class AlongSpeed:
 
 
 def follow(
-    loop_at: Callable[[float], StateSpace], speeds: np.ndarray, *, critical: bool = False
+    loop_at: Callable[[float], StateSpace],
+    speeds: np.ndarray,
+    *,
+    critical: bool = False,
+    whole_at: Callable[[float], StateSpace] | None = None,
 ) -> AlongSpeed:
     """A closed loop, of the same states at any speed [rad/s], at every one of speeds (s,),
     ascending, and at those that are added. critical: whether critical speeds are looked for.
+    whole_at: the loop of which ``loop_at`` is a smaller model, that shows where to look: its own
+    poles decide at both ends, in the middle, and wherever they may be the outermost.
     """
     known: dict[float, _Modes] = {}
 
@@ -683,7 +695,36 @@ def follow(
         ]
     found_at = np.array(sorted(known))
     abscissa = np.array([known[w].poles.real.max() for w in found_at])
+    if whole_at is not None:
+        whole = whole_at  # asked for below
+
+        def outermost(k: int) -> float:
+            return spectral_abscissa(whole(float(found_at[k])))
+
+        of_whole(abscissa, (0, len(abscissa) - 1, len(abscissa) // 2), outermost)
     return AlongSpeed(found_at, abscissa, tuple(sorted(found)))
+
+
+def of_whole(
+    abscissa: np.ndarray, first: Sequence[int], whole: Callable[[int], float], most: int = 40
+) -> int:
+    """In place: the abscissa (k,) [rad/s] of loops of smaller models raised to that of the whole
+    ones, ``whole``(number), of the ``first``, the largest other and wherever it may be larger yet,
+    or not negative. How many were asked, ``most`` at most.
+
+    From a smaller model to the whole one none is assumed to rise by more than those known did.
+    """
+    highest = rise = -np.inf
+    order = dict.fromkeys([*first, *np.argsort(-abscissa, kind="stable").tolist()])
+    for asked, i in enumerate(order):
+        limit = min(0.0, highest) * (1 - _SAME_ALONG_SPEED)
+        if asked > len(first) and (asked >= most or abscissa[i] + rise <= limit):
+            return asked
+        own = whole(i)
+        rise = max(rise, own - abscissa[i], 0.0)
+        abscissa[i] = max(abscissa[i], own)
+        highest = max(highest, float(abscissa[i]))
+    return len(order)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -715,19 +756,11 @@ class _Modes:
 
 def _modes(loop: StateSpace) -> _Modes:
     balanced, scale = balance(loop.A)
-    values, right = np.linalg.eig(balanced)
-
-    # in real columns, [v, conj v] = [Re v, Im v] [[1, 1], [j, -j]]: the rows of the inverse are
-    # (a - j b)/2 and its conjugate
-    pair = np.flatnonzero(values.imag > 0)
-    basis = right.real.copy()
-    basis[:, pair + 1] = right[:, pair].imag
     try:
-        left = np.linalg.inv(basis).astype(complex)
+        values, right, left = eigenvectors(balanced)
     except np.linalg.LinAlgError:  # of a defective pole, to the last digit
-        left = np.linalg.pinv(basis).astype(complex)
-    left[pair] = (left[pair] - 1j * left[pair + 1]) / 2
-    left[pair + 1] = left[pair].conj()
+        values, right = np.linalg.eig(balanced)
+        left = np.linalg.pinv(right)
     rate = np.ones(len(values), complex)
     if loop.dt is not None:
         # a pole of a delay at z = 0 is as far to the left as any

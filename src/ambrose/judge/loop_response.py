@@ -28,6 +28,7 @@ from ambrose.model.axial import left_out
 from ambrose.model.plant import Plant
 from ambrose.model.uncertainty import reduce_from
 
+_TWINS = 1e-9  # relative distance of frequencies that are one
 _LIGHTLY_DAMPED = 0.3  # damping ratio below which a pole has points of its own on a grid
 
 Matrices = np.ndarray  # (w, p, m) complex: one matrix per frequency
@@ -256,7 +257,10 @@ def add_poles(omega: np.ndarray, poles: np.ndarray) -> np.ndarray:
     steps = np.array([0.25, 0.5, 0.75, 1.0, 1.5, 2.5, 5.0, 10.0])
     steps = np.concatenate([-steps[::-1], [0.0], steps])
     extra = (resonance[:, None] + half_bandwidth[:, None] * steps).ravel()
-    return np.unique(np.concatenate([omega, extra[(extra > omega.min()) & (extra < omega.max())]]))
+    every = np.unique(np.concatenate([omega, extra[(extra > omega.min()) & (extra < omega.max())]]))
+    # points apart by rounding alone, as of two planes alike, count once: between such two there is
+    # no peak, and beside them none is looked for
+    return np.asarray(every[np.append(~(np.diff(every) <= _TWINS * every[:-1]), True)])
 
 
 # Peaks of frequency curves, refined between grid points: what is reported must not depend on the

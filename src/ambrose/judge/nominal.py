@@ -8,6 +8,7 @@ loop diagram is in core/lft.py.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -397,6 +398,7 @@ def check(
     plant_at: Callable[[float], Plant] | None = None,
     law_at: Callable[[Plant], StateSpace] | None = None,
     covered: tuple[float, float] | None = None,
+    small_at: Callable[[float], Plant] | None = None,
 ) -> Checks:
     """The verdict on ``controller`` (err -> u, continuous or sampled) around ``plant``.
 
@@ -405,9 +407,11 @@ def check(
     range of ISO 14839-3). progress(stage, fraction) is called between stages. plant_at(speed
     [rad/s]) -> Plant: with it stability and unbalance are checked along the machine's speed range
     with the rotor assembled anew at every speed, under law_at(plant) (None: ``controller``), over
-    the speeds covered [rad/s] (None: the whole range). An unstable loop yields stable=False, the
-    check "stability.abscissa" that names its poles, and the pole curve. Raises InvalidInput for a
-    controller of the wrong size or a grid that does not ascend from a positive frequency.
+    the speeds covered [rad/s] (None: the whole range); small_at: a smaller plant at a speed, whose
+    poles show at which speeds those of plant_at may be the outermost (None: at all). An unstable
+    loop yields stable=False, the check "stability.abscissa" that names its poles, and the pole
+    curve. Raises InvalidInput for a controller of the wrong size or a grid that does not ascend
+    from a positive frequency.
     """
     tell = progress or (lambda stage, fraction: None)
     requirements = plant.machine.requirements if requirements is None else requirements
@@ -453,7 +457,7 @@ def check(
         _extend(
             checks,
             curves,
-            _assembled(plant_at, plant, controller, under, span, requirements, residual),
+            _assembled(plant_at, plant, controller, under, span, requirements, residual, small_at),
         )
     tell("time response", 0.85)
     _extend(checks, curves, pulse_checks(pulse_response(closed, plant), plant, requirements))
@@ -552,21 +556,27 @@ def _assembled(
     span: tuple[float, float],
     requirements: Requirements,
     residual: Unbalance | None,
+    small_at: Callable[[float], Plant] | None = None,
 ) -> tuple[list[Check], list[Curve]]:
     """Stability and the unbalance curve along speeds [rad/s], with the rotor assembled anew at
-    every speed.
+    every speed; small_at: a smaller plant there, that shows where to look.
     """
     low, high = span
     even = np.linspace(low, high, _STABILITY_SPEEDS)
     knots = speed_knots(plant.machine, low, high)
+
+    def loop_at(w: float, plant_at: Callable[[float], Plant] = plant_at) -> StateSpace:
+        return loop_alone(at := plant_at(w), law_at(at))
+
     along = follow(
-        lambda w: loop_alone(at := plant_at(w), law_at(at)),
+        loop_at if small_at is None else partial(loop_at, plant_at=small_at),
         np.unique([*even, *knots]),
         critical=residual is not None,
+        whole_at=None if small_at is None else loop_at,
     )
     stability = [speed_stability_check(along, plant.point)]
     if plant.machine.rotating_share:
-        stability += [threshold_check(lambda w: loop_alone(at := plant_at(w), law_at(at)), *span)]
+        stability += [threshold_check(loop_at, *span)]
     if residual is None or not stability[0].passed:
         return stability, []
     low = max(low, 0.02 * high)

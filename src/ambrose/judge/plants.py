@@ -23,9 +23,13 @@ from ambrose.law.loop import DEFAULT, Timing, running_law
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
-from ambrose.model.assemble import assemble
+from ambrose.model.assemble import assemble, bending_modes_of
 from ambrose.model.plant import Plant
-from ambrose.model.uncertainty import with_offsets_of
+from ambrose.model.uncertainty import (
+    default_bending_modes,
+    free_mode_reduction,
+    with_offsets_of,
+)
 
 # The full plants at the operating points of a machine.
 
@@ -44,6 +48,7 @@ def envelope_of(plant: Plant) -> list[Plant]:
 
 Progress = Callable[[str], None]
 _CAMPBELL_SPEEDS, _CAMPBELL_MODES = 15, 10  # points over speed; branches drawn
+_FURTHER = 3  # bending modes: the outermost pole to 1e-6 of it, 5e-3 where one near moves it
 
 
 def full_plants(machine: Machine) -> tuple[Plant, ...]:
@@ -74,6 +79,20 @@ def plants_along_speed(plant: Plant) -> Callable[[float], Plant]:
     return lambda speed: with_offsets_of(
         assemble(plant.machine, replace(plant.point, speed=speed), beside=beside), plant
     )
+
+
+def small_along_speed(plant: Plant) -> Callable[[float], Plant]:
+    """Speed [rad/s] -> that plant in its few bending modes that matter and ``_FURTHER``, and the
+    compliance of all others at the ports.
+    """
+    count = default_bending_modes(plant) + _FURTHER
+    count = min(count, bending_modes_of(plant.rotor_model)) if plant.machine.lateral else 0
+
+    def at(speed: float) -> Plant:
+        there = replace(plant, point=replace(plant.point, speed=speed))
+        return free_mode_reduction(there, count, residual=True)
+
+    return at
 
 
 def split_covered(

@@ -30,6 +30,7 @@ from ambrose.core.sampling import held
 from ambrose.core.statespace import StateSpace, check_loop
 from ambrose.core.worst_case_loop import box_points
 from ambrose.judge import nominal
+from ambrose.judge.campbell import of_whole
 from ambrose.judge.checks import Check, Checks, box_label, information, judge
 from ambrose.judge.loop_response import half_order_share, solid_cores
 from ambrose.law.design_problem import open_model
@@ -303,8 +304,6 @@ def sampled_box(
     return SampledBox(controller, names, s, owner, few, chords, law)
 
 
-# points of the box at which the eigenvalues of the full plant's loop are computed
-_FULL_POINTS, _TOGETHER = 40, 6  # at most; of them at once
 _STARTS = 3  # of the search inside the box, besides the nominal point
 _BENDING = re.compile(r"rotor\.bending_(\d+)\.")
 _MANY = 32  # members from which on it is worth a look where none can have a high gain
@@ -382,7 +381,12 @@ def check_over_box(
     poles = list(box.closed_loop_poles(points, open_model(small, tolerances_varied, True).system))
     abscissa = np.array([row.real.max() for row in poles])
     full = _FullPoles(box)
-    examined = _on_full_plant(full, points, poles, abscissa, 1 + len(extra))
+
+    def whole(i: int) -> float:
+        poles[i] = full.at(points[i : i + 1])[0]
+        return float(poles[i].real.max())
+
+    examined = of_whole(abscissa, range(1 + len(extra)), whole)
     light = [box.light(row) for row in poles]
 
     # the search moves on the gain alone: where it ends the poles are looked at again
@@ -496,31 +500,6 @@ class _FullPoles:
                 new, self.box.closed_loop_poles(np.array([*new.values()])), strict=True
             )
         return [self._known[point.tobytes()] for point in points]
-
-
-def _on_full_plant(
-    full: _FullPoles, points: np.ndarray, poles: list[np.ndarray], abscissa: np.ndarray, first: int
-) -> int:
-    """In place: the poles of the full plant's loop where there were a reduced one's, and the larger
-    abscissa of both, at the ``first`` points and wherever poles may be the outermost, or unstable.
-    How many points that are, _FULL_POINTS at most.
-
-    From the reduced plant to the full one no abscissa is assumed to rise by more than it did where
-    both are known.
-    """
-    waiting = sorted(range(len(points)), key=lambda i: (i >= first, -abscissa[i]))
-    now = waiting[:first]
-    done, rise = 0, 0.0
-    while now:
-        for i, row in zip(now, full.at(points[now]), strict=True):
-            poles[i], outermost = row, float(row.real.max())
-            rise = max(rise, outermost - abscissa[i])
-            abscissa[i] = max(abscissa[i], outermost)
-        done += len(now)
-        highest = min(0.0, float(abscissa[waiting[:done]].max()))
-        part = waiting[done : min(done + _TOGETHER, _FULL_POINTS)]
-        now = [i for i in part if abscissa[i] + rise > highest]
-    return done
 
 
 def _alike(light: Sequence[np.ndarray]) -> list[list[int]]:

@@ -38,6 +38,7 @@ from ambrose.judge.plants import (
     judge_assumed,
     plant_at,
     plants_along_speed,
+    small_along_speed,
     split_covered,
 )
 from ambrose.judge.result import Certificate, certify
@@ -489,6 +490,7 @@ def verify_points(
             plant_at=along,
             law_at=lambda other: running_law(law, other, timing),
             covered=_speeds_covered(law, plant),
+            small_at=small_along_speed(plant) if turning else None,
         )
         unsampled = _unstable_when_sampled(plant, law, timing) if checks.stable else ()
         results.append(replace(checks, checks=(*checks.checks, *unsampled)))

@@ -394,7 +394,8 @@ def attached_rotor(
         k, d, m = seal.matrices(constant_coefficients(machine, annular, point))
         stiffness += pair.T @ k @ pair
         damping += pair.T @ d @ pair
-        mass += pair.T @ m @ pair
+        if m.any():
+            mass += pair.T @ m @ pair
 
     # ports of single modes: unit rows; zero where the mode is beyond those in use or the coordinate
     # is a support's

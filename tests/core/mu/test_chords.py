@@ -11,7 +11,7 @@ from ambrose.core.checks import InvalidInput, NumericalFailure, UnstableSystem
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import ComplexBlock, FullBlock, RealBlock
 from ambrose.core.mu import all_frequencies
-from ambrose.core.mu.all_frequencies import chords, proved_below, proved_level
+from ambrose.core.mu.all_frequencies import chords, modal_chords, proved_below, proved_level
 from ambrose.core.mu.bounds import mu_peak
 from ambrose.core.mu.upper import UpperBound
 from ambrose.core.norms import hinf_norm
@@ -196,3 +196,21 @@ def test_rounding_is_allowed_for(seed):
     error = np.linalg.norm((R @ inner @ R.conj().T - Phi).astype(complex))
     allowed = float(all_frequencies._rounding(scalings, L_w, L_z, M)[0])
     assert 0 < error < allowed
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_values_are_those_of_the_system_from_rest_to_infinity(system):
+    """Real poles, pairs and clusters, stable or not."""
+    grid = np.concatenate([[0.0], np.geomspace(1e-4, 1e4, 300)])
+    turned = StateSpace(-system.A, system.B, system.C, system.D)
+    for one in (system, turned):
+        apart = modal_chords(one).at(grid) - frequency_response(one, grid).values
+        assert np.abs(apart).max() <= 1e-11 * np.abs(frequency_response(one, grid).values).max()
+    np.testing.assert_array_equal(modal_chords(system).at(np.array([np.inf]))[0], system.D)
+
+
+def test_the_values_beside_a_light_pole_keep_their_digits():
+    """1 / (s^2 + 2 zeta s + 1) at its resonance: 1 / (2 j zeta)."""
+    zeta = 1e-7
+    one = StateSpace([[0.0, 1.0], [-1.0, -2 * zeta]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
+    assert chords(one).at(np.array([1.0]))[0, 0, 0] == pytest.approx(-0.5j / zeta, rel=1e-8)
