@@ -330,7 +330,7 @@ def test_a_smaller_plant_finds_the_worst_speed_of_the_full_one(name):
     asked.clear()
     found = follow(small, speeds, critical=True, whole_at=whole)
     assert found.abscissa.max() == pytest.approx(alone, rel=1e-6)
-    assert sum(asked) <= 8 < asked.count(False)
+    assert len(speeds) <= sum(asked) <= len(speeds) + 4
     exact = follow(whole, speeds, critical=True).critical
     assert [w for w, _ in found.critical] == pytest.approx([w for w, _ in exact], rel=1e-2)
 

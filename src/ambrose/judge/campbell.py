@@ -634,7 +634,7 @@ def follow(
     """A closed loop, of the same states at any speed [rad/s], at every one of speeds (s,),
     ascending, and at those that are added. critical: whether critical speeds are looked for.
     whole_at: the loop of which ``loop_at`` is a smaller model, that shows where to look: its own
-    poles decide at both ends, in the middle, and wherever they may be the outermost.
+    poles decide at every one of speeds, and at those that are added where they may be outermost.
     """
     known: dict[float, _Modes] = {}
 
@@ -701,7 +701,8 @@ def follow(
         def outermost(k: int) -> float:
             return spectral_abscissa(whole(float(found_at[k])))
 
-        of_whole(abscissa, (0, len(abscissa) - 1, len(abscissa) // 2), outermost)
+        given = np.flatnonzero(np.isin(found_at, speeds)).tolist()
+        of_whole(abscissa, given, outermost, most=len(given) + _MOST)
     return AlongSpeed(found_at, abscissa, tuple(sorted(found)))
 
 
