@@ -438,7 +438,6 @@ def _known_laws(
     InvalidInput.
     """
     from ambrose.judge.result import machine_pid
-    from ambrose.law.law import AllAxesProgram
     from ambrose.law.loop import check_side
     from ambrose.machine.machine import THRUST
     from ambrose.model.plant import Plant as PlantType
@@ -450,9 +449,7 @@ def _known_laws(
         return law, controller_of(axial)
     others = {} if axes is not None or place is not machine else machine.groups
     along = others.get(THRUST)
-    if along is None or along is own or law.thrust is not None or along.reference is None:
-        return law, None
-    if isinstance(law.program, AllAxesProgram):  # it has the thrust axis
+    if along is None or along is own or law.thrust or law.all_axes or along.reference is None:
         return law, None
     check_side(law.inputs, machine)
     return law, machine_pid(along)

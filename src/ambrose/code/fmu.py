@@ -116,15 +116,13 @@ def variables(law: AnyLaw) -> tuple[Variable, ...]:
         Variable(f"valid_{name}", "boolean", "input", "", f"{name} may be used", "true")
         for name, _ in errors
     ]
-    if isinstance(block, ScheduledBlock):
-        (low, high), along = block.grid[[0, -1]].tolist(), block.along
+    for one, axis, limit, _ in block.alone:
+        low, high = axis[[0, -1]].tolist()
         text = (
             f"what the controller is scheduled over, from {low:.9g} to {high:.9g}, plausible "
-            f"within +-{block.told_limit:.9g}"
+            f"within +-{limit:.9g}"
         )
-        found.append(
-            Variable(along.name, "real", "input", along.unit, text, repr(low), nominal=high)
-        )
+        found.append(Variable(one.name, "real", "input", one.unit, text, repr(low), nominal=high))
     if beside:
         text = "of the rotor, growing; a pulse of the key phasor comes at every whole turn"
         found.append(Variable("angle", "real", "input", "rad", text, "0"))

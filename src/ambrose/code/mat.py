@@ -10,7 +10,8 @@ import io
 import math
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, cast
+from functools import singledispatch
+from typing import Any
 
 import numpy as np
 
@@ -56,26 +57,16 @@ def generate_mat(
             "no word of MATLAB or Octave",
             "give another --name",
         )
-    if isinstance(block, ScheduledBlock) or isinstance(deployment, ScheduledDeployment):
-        given = cast(ScheduledBlock, block), cast(ScheduledDeployment, deployment)
-        over = vectors_of(given[0])
-        struct = scheduled_content(*given, synthesis, provenance, over)
-        return {
-            f"{block.name}.mat": _bytes({block.name: struct}),
-            f"{block.name}_vectors.csv": as_csv(block, over),
-        }
-    run = vectors_of(block)
-    continuous, comments = deployment.source.dt is None, [as_comment(line) for line in provenance]
-    facts = {**block_facts(block), "provenance": comments, "continuous": continuous}
-    return {
-        f"{block.name}.mat": _bytes(
-            {block.name: content(block, deployment, synthesis, provenance, run)}
-        ),
-        f"{block.name}_load.m": render("load.m.j2", facts),
-        f"{block.name}_vectors.csv": as_csv(block, run),
-    }
+    run, comments = vectors_of(block), [as_comment(line) for line in provenance]
+    struct = content(block, deployment, synthesis, provenance, run)
+    facts = {"provenance": comments, "continuous": deployment.source.dt is None}
+    # the script is of one law
+    load = {} if block.told else {"_load.m": render("load.m.j2", block_facts(block) | facts)}
+    texts = {".mat": _bytes({block.name: struct}), **load, "_vectors.csv": as_csv(block, run)}
+    return {f"{block.name}{end}": text for end, text in texts.items()}
 
 
+@singledispatch
 def content(
     block: ControlBlock,
     deployment: Deployment,
@@ -83,7 +74,7 @@ def content(
     provenance: Sequence[str],
     run: Vectors,
 ) -> dict[str, Any]:
-    """The struct's fields."""
+    """The struct's fields, by the kind of block."""
     K, source = deployment.controller, deployment.source
     return {
         **_head(K, block),
@@ -102,16 +93,15 @@ def content(
     }
 
 
-def scheduled_content(
+@content.register
+def _(
     block: ScheduledBlock,
     deployment: ScheduledDeployment,
     synthesis: Synthesis,
     provenance: Sequence[str],
     run: Vectors,
 ) -> dict[str, Any]:
-    """The struct's fields of a schedule: A (n, n, k) and so on over the k values of
-    ``scheduling.grid``, linear in between.
-    """
+    # A (n, n, k) and so on over the k values of ``scheduling.grid``, linear in between
     K = deployment.sampled
     source = deployment.source
     along = block.along

@@ -22,7 +22,7 @@ import numpy as np
 
 from ambrose.code.block.block import ControlBlock, render
 from ambrose.code.block.fixed_point import in_words
-from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock
+from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.c.code import Arithmetic, integer_table, literal, real_table
 from ambrose.code.c.synchronous import law_files
 from ambrose.code.interface import KINDS, TYPES, Interface, interface_of
@@ -908,12 +908,9 @@ def bare_metal_files(law: AnyLaw, arithmetic: Arithmetic) -> dict[str, str]:
 
     # on the emulated board: errors within an eighth of their limit, what is told in mid range
     amplitude = unit.counts(base.error_limit / _SHARE, unit.metre)
-    told = []
-    if isinstance(base, ScheduledBlock):
-        for axis, one in zip(base.axes, base.along.each, strict=True):
-            told.append({"name": one.name, "value": number(float(np.mean(axis)))})
-    if isinstance(base, SupervisedBlock):  # no monitor beside it
-        told += [{"name": name, "value": number(-1.0)} for name in ("estimate", "half_width")]
+    means = [number(float(np.mean(axis))) for _, axis, *_ in base.over]
+    means += [number(-1.0)] * (len(base.told) - len(means))  # no monitor beside it
+    told = [{"name": name, "value": value} for name, value in zip(base.told, means, strict=True)]
     delay = base.delay
     arguments = "".join(f"from->{one.name}, " for one in unit.interface.arguments if one.given)
     call = f"{unit.step}(&controller, {arguments}current[k % SETS])"

@@ -158,6 +158,7 @@ def text_facts(
     """What every template of a block reads."""
     facts = {
         **block_facts(block),
+        **block.said(),
         "type": _TYPES[precision],
         "diagonals": _diagonals(block),
         "provenance": [_comment(line) for line in provenance] or ["provenance: not given"],
@@ -166,24 +167,18 @@ def text_facts(
         "winding": block.winding,
         "cost": block.cost(precision),
     }
-    if not isinstance(block, ScheduledBlock):
-        return facts
-    (low, high), along = block.range, block.along
-    step = literal(block.told_step, precision) if np.isfinite(block.told_step) else ""
-    return {
-        **facts,
-        "direct": True,
-        "parameter": along.name,
-        "unit": along.unit,
-        "ng": len(block.grid),
-        "passes": block.passes,
-        "told_step": step,
-        "low": literal(low, precision),
-        "high": literal(high, precision),
-        "told_limit": literal(block.told_limit, precision),
-        "nr": block.changes.ranks[0],
-        "nq": block.changes.ranks[1],
-    }
+    for one, axis, limit, rate in block.alone:
+        step = literal(rate * block.sample_time, precision) if np.isfinite(rate) else ""
+        facts |= {
+            "direct": True,
+            "parameter": one.name,
+            "unit": one.unit,
+            "told_step": step,
+            "low": literal(float(axis[0]), precision),
+            "high": literal(float(axis[-1]), precision),
+            "told_limit": literal(limit, precision),
+        }
+    return facts
 
 
 def _tables(block: ControlBlock | ScheduledBlock, precision: Precision) -> list[Table]:
@@ -202,11 +197,11 @@ def _test(
     block: ControlBlock | ScheduledBlock, run: Vectors, precision: Precision
 ) -> dict[str, Any]:
     told = {}
-    if isinstance(block, ScheduledBlock):
+    if run.told is not None:
         tolerance = scheduled_tolerance(block, run, precision)
         # what is no number has no literal, and is treated as what is implausible
-        none = 2.0 * block.told_limit
-        told = {"told": values(np.nan_to_num(np.asarray(run.told), nan=none), precision)}
+        none = 2.0 * block.over[0][2]
+        told = {"told": values(np.nan_to_num(run.told, nan=none), precision)}
     else:
         # a cascade too is written as matrices here: their bound, not that of its sections
         bound = floating_error.dispatch(ControlBlock)
@@ -297,7 +292,7 @@ def generate_run_structured_text(
             "structured text has no fixed point here; write C",
         )
     base = unit.base
-    if base.supervised:
+    if base.watch:
         raise InvalidInput(
             "structured text has no supervision of a schedule by a fallback; write C, which has it"
         )

@@ -60,22 +60,14 @@ class ControlProgram(Protocol):
 class ScheduledProgram(ControlProgram, Protocol):
     """A program whose law changes with the speed [rad/s] or, where its attribute ``parameter`` says
     so, the pressure [Pa] or both ("speed and pressure", a tuple): it is told that before every
-    step; called with a value it returns its law there, frozen, as ``system`` is at the present.
+    step; called with a value it returns its law there, frozen, as ``system`` is at the present. One
+    that is made for a range has besides ``range``, its lowest and highest value; of several tuples.
     """
 
     def schedule(self, value: Any) -> None:
         """Speed or pressure of the next step; NaN: not known."""
 
     def __call__(self, value: Any) -> StateSpace: ...
-
-
-@runtime_checkable
-class Ranged(Protocol):
-    """What a scheduled program has besides that is made for a range."""
-
-    @property
-    def range(self) -> tuple[Any, Any]:
-        """Its lowest and highest value; of several tuples."""
 
 
 @runtime_checkable
@@ -102,16 +94,6 @@ class AllAxesProgram(ControlProgram, Protocol):
 
     @property
     def parts(self) -> tuple[StateSpace, StateSpace]: ...
-
-
-def entry_of(program: ControlProgram) -> tuple[int, int] | None:
-    """Address and first argument of a ``NativeProgram``; None for any other."""
-    return program.entry if isinstance(program, NativeProgram) else None
-
-
-def teller(program: ControlProgram) -> Callable[[Any], None] | None:
-    """What a ``ScheduledProgram`` is told its speed or pressure by; None for any other."""
-    return program.schedule if isinstance(program, ScheduledProgram) else None
 
 
 # What a controller can be scheduled over: quantities of the operating point, by the names that the
@@ -285,6 +267,13 @@ class Law(ABC):
         return None
 
     @property
+    def all_axes(self) -> AllAxesProgram | None:
+        """The program of the radial axes and of the one along the shaft; None: it is no such
+        law.
+        """
+        return None
+
+    @property
     def range(self) -> tuple[Any, Any] | None:
         """The lowest and highest value [unit] of ``scheduled_over`` that it is made for; of several
         tuples; None: all.
@@ -437,6 +426,10 @@ class ProgramLaw(Law):
         return self.running
 
     @property
+    def all_axes(self) -> AllAxesProgram | None:
+        return cast(AllAxesProgram, self.running) if hasattr(self.running, "parts") else None
+
+    @property
     def range(self) -> tuple[Any, Any] | None:
         return self.span
 
@@ -483,4 +476,4 @@ def _program_law(program: ControlProgram) -> ProgramLaw:
     if not callable(program):
         return ProgramLaw(program)
     along = scheduling_named(getattr(program, "parameter", SPEED.name))
-    return ProgramLaw(program, along, program.range if isinstance(program, Ranged) else None)
+    return ProgramLaw(program, along, getattr(program, "range", None))

@@ -26,7 +26,6 @@ from ambrose.judge.verdict import verify_points, verify_ranges, verify_tolerance
 from ambrose.law.law import (
     PRESSURE,
     SPEED,
-    AllAxesProgram,
     Law,
     LawLike,
     Scheduling,
@@ -112,7 +111,7 @@ def simulate_scenario(
         along = others[0][1] if others else None
         if asked.axes is None and len(described.groups) > 1:
             alone = _why_alone(described, law, along, events, asked)
-    if alone and (asked.axial is not None or isinstance(law.program, AllAxesProgram)):
+    if alone and (asked.axial is not None or law.all_axes is not None):
         raise InvalidInput(f"all axes do not run together: {alone}; leave it or the axial law out")
     parts = all_axes.parts_of(law, None if alone else along)
     if parts is None:
@@ -132,13 +131,13 @@ def _why_alone(
     """Why the radial axes run without the thrust axis, whose law is ``along``; "" where all axes
     run together.
     """
-    laws, whole = [law, *([] if along is None else [law_of(along)])], law.program
+    laws = [law, *([] if along is None else [law_of(along)])]
     second = asked.second or asked.fallback
     reasons = {
         "the linear model is of one group of axes": asked.linear,
         "a second controller is of one": second is not None or events.switch_at is not None,
     }
-    if not isinstance(whole, AllAxesProgram):
+    if law.all_axes is None:
         reasons |= {
             "no controller of the thrust axis is known": along is None,
             "a scheduled controller is of one group": any(one.scheduled_over for one in laws),

@@ -382,6 +382,13 @@ def _(block: ScheduledBlock, arithmetic: str, largest_error: float = LARGEST_ERR
     return Parts("scheduled", "scheduled", facts, tables, report, run, tolerance)
 
 
+@parts_in.register
+def _(block: SupervisedBlock, arithmetic: str, largest_error: float = LARGEST_ERROR) -> Parts:
+    parts = parts_in.dispatch(ScheduledBlock)(block, arithmetic)
+    parts.facts["supervised"] = supervision_facts(block, arithmetic, real_table(arithmetic))
+    return parts
+
+
 def tolerance_in(arithmetic: str, block: Block, single: np.ndarray) -> np.ndarray:
     """How far code in floating point may be from the vectors (p,) [A]; single: in single
     precision.
@@ -395,7 +402,7 @@ def code_types(arithmetic: str) -> dict[str, str]:
     return {"real": word, "word": word, "uchar": "u1", "int32_t": "i4"}
 
 
-def scheduled_tolerance(block: ScheduledBlock, run: Vectors, arithmetic: str) -> np.ndarray:
+def scheduled_tolerance(block: Block, run: Vectors, arithmetic: str) -> np.ndarray:
     """How far code may be from the vectors (p,) [A]."""
     single = np.maximum(_SINGLE_TOLERANCE * block.current_limit, 4 * run.rounding)
     return tolerance_in(arithmetic, block, single)
@@ -523,17 +530,15 @@ def _schedule_facts(block: ScheduledBlock, arithmetic: str) -> dict[str, Any]:
             f"For any motion of the {along.name}: within +-{farthest:.3g} (proved, conservative)."
         )
     return {
+        **block.said(),
         "one": literal(1.0, arithmetic),
-        "ng": len(block.B),
         "axes": _axes(block, arithmetic),
         "over": along.name,
         "corners": list(range(2 ** len(block.axes))),
         "low_padding": padding[0],
         "padded": block.n_states + sum(padding),
         "motion_text": motion_text,
-        "passes": block.passes,
-        "supervised": isinstance(block, SupervisedBlock)
-        and supervision_facts(block, arithmetic, real_table(arithmetic)),
+        "supervised": False,
     }
 
 
@@ -541,14 +546,8 @@ def _axes(block: ScheduledBlock, arithmetic: str) -> list[dict[str, Any]]:
     """What the templates say of every parameter; ``suffix``: of its own fields in the block, where
     there are two.
     """
-    rows = []
-    table, limits = (
-        real_table(arithmetic),
-        zip(block.told_limits, block.rate_limits, block.told_steps, strict=True),
-    )
-    for i, (axis, one, (limit, rate, step)) in enumerate(
-        zip(block.axes, block.along.each, limits, strict=True)
-    ):
+    rows, table = [], real_table(arithmetic)
+    for i, (one, axis, limit, rate) in enumerate(block.over):
         low = float(axis[0])
         high = float(axis[-1])
         limited = bool(np.isfinite(rate))
@@ -571,7 +570,7 @@ def _axes(block: ScheduledBlock, arithmetic: str) -> list[dict[str, Any]]:
                 "told_limit": literal(limit, arithmetic),
                 "plausible": f"{limit:.6g}",
                 "rate_limit": f"{rate:.9g}" if limited else "",
-                "told_step": literal(step, arithmetic) if limited else "",
+                "told_step": literal(rate * block.sample_time, arithmetic) if limited else "",
                 "rate_text": f" The schedule follows at {rate:.6g} {one.rate_unit} at most."
                 if limited
                 else "",
@@ -606,16 +605,12 @@ def _tables(
 
 
 def _scheduled_tables(block: ScheduledBlock, arithmetic: str) -> dict[str, Any]:
-    """The tables of a schedule over its grid; nr, nq: ranks of what changes between grid points in
-    the states and in the outputs.
-    """
-    tables, (nr, nq) = _tables(block, real_table(arithmetic)), block.changes.ranks
+    """The tables of a schedule over its grid."""
+    tables, nr = _tables(block, real_table(arithmetic)), block.changes.ranks[0]
     law = {name: tables[name] for name in ("B", "C", "D", "diagonals")}
     return {
         **tables,
         "law": {**law, "suffix": "", "varies": True, "nx": block.n_states, "nr": nr},
-        "nr": nr,
-        "nq": nq,
         "floor": literal(FLOOR[arithmetic], arithmetic),
     }
 

@@ -509,7 +509,7 @@ class CompiledSchedule(_CompiledBlock[ScheduledBlock]):
     @property
     def fault(self) -> Fault:
         """Of a supervised block: why the last reading is not trusted."""
-        return Fault(self.status >> REASON_AT & 7 if self.block.supervised else 0)
+        return Fault(self.status >> REASON_AT & 7 if self.block.watch else 0)
 
     def schedule(self, value: Any) -> None:
         """Speed [rad/s] or pressure [Pa] of the next step, or both; NaN: not known."""
@@ -570,8 +570,8 @@ def read_law(code: CompiledBlock | CompiledSchedule, at: Any = None) -> StateSpa
     rounding of its words included. Raises InvalidInput where a current stays limited, or the
     schedule clamped, however small the step.
     """
-    if isinstance(code, CompiledSchedule) and at is not None:
-        code.schedule(at)
+    if at is not None:
+        cast(CompiledSchedule, code).schedule(at)
     block = code.block
     n, m = block.n_states, len(block.inputs)
     columns = [_response(code, state, np.zeros(m)) for state in np.diag(block.state_range)]

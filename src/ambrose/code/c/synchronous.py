@@ -340,7 +340,7 @@ def _facts(unit: RunUnit, arithmetic: str, provenance: Sequence[str]) -> dict[st
         "arithmetic": floating.get(arithmetic, f"fixed point, {word} bits"),
         "sample_time": f"{base.sample_time:.9g}",
         "provenance": [as_comment(line) for line in provenance] or ["provenance: not given"],
-        "supervised": base.supervised,
+        "supervised": base.watch is not None,
         "transfers": base.transfers,
         "touches": touches,
         "contact": table(contact) if touches else "",
