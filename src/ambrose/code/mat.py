@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from functools import singledispatch
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -62,14 +62,18 @@ def generate_mat(
     facts = {"provenance": comments, "continuous": deployment.source.dt is None}
     # the script is of one law
     load = {} if block.told else {"_load.m": render("load.m.j2", block_facts(block) | facts)}
-    texts = {".mat": _bytes({block.name: struct}), **load, "_vectors.csv": as_csv(block, run)}
+    texts: dict[str, str | bytes] = {
+        ".mat": _bytes({block.name: struct}),
+        **load,
+        "_vectors.csv": as_csv(block, run),
+    }
     return {f"{block.name}{end}": text for end, text in texts.items()}
 
 
 @singledispatch
 def content(
-    block: ControlBlock,
-    deployment: Deployment,
+    block: ControlBlock | ScheduledBlock,
+    deployment: Any,
     synthesis: Synthesis,
     provenance: Sequence[str],
     run: Vectors,
@@ -88,7 +92,7 @@ def content(
         if source.dt is None
         else np.zeros(_NONE),
         "limits": {"error": _column(block.error_limit), "current": _column(block.current_limit)},
-        "block": _block(block),
+        "block": _block(cast(ControlBlock, block)),
         **_tail(deployment, synthesis, provenance, run),
     }
 

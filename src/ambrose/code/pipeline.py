@@ -3,7 +3,7 @@ written.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -20,6 +20,7 @@ from ambrose.code.block.scheduled import (
     supervise,
 )
 from ambrose.code.c.code import check_precision
+from ambrose.code.interface import AllAxes, Base, Law
 from ambrose.code.processor_trial import Trial
 from ambrose.code.sampled import (
     Deployment,
@@ -32,7 +33,6 @@ from ambrose.code.sampled import (
     unmet_limits,
     verdict,
 )
-from ambrose.code.synchronous import AllAxes, Base, Law, RunUnit, in_order
 from ambrose.code.targets import TARGETS, C, Target
 from ambrose.core.checks import (
     InvalidInput,
@@ -46,11 +46,9 @@ from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, rename
 from ambrose.judge.checks import Check, Checks
 from ambrose.judge.result import Synthesis, synthesis_of
-from ambrose.judge.synchronous import block_loops, check_block
-from ambrose.law.law import BOTH, LawLike, law_of
+from ambrose.law.law import BOTH, LawLike, extension, law_of
 from ambrose.law.loop import DEFAULT, Timing, check_side, match_axes, timing_of
 from ambrose.law.supervision import check_pair, supervision_limits
-from ambrose.law.synchronous import check_blocks, running_law, synchronous_loop
 from ambrose.machine.file.toml import bundled_machines, load_machine, machine_hash
 from ambrose.machine.machine import THRUST, Machine
 from ambrose.machine.ordinary_file import check_place, claimed, write_files
@@ -97,7 +95,6 @@ def provenance_lines(
 
 
 _DIVERGES = ("synchronous.margin", "synchronous.gain")
-_TOUCH = 0.95  # of the smallest touchdown gap: an error beyond it counts as contact
 
 
 def blocks_beside(
@@ -106,8 +103,7 @@ def blocks_beside(
     """The blocks of a controller, else of its machine. Raises InvalidInput where the target, or a
     missing machine, leaves no way to write them.
     """
-    settings = None if machine is None else machine.controller
-    blocks = synthesis.synchronous or (() if settings is None else settings.synchronous)
+    blocks = synthesis.synchronous if machine is None else synthesis.blocks_on(machine)
     if blocks:
         target.check_beside()
         if machine is None:
@@ -115,32 +111,8 @@ def blocks_beside(
                 "the synchronous blocks need the machine file for the signals they read; name it "
                 "(--machine my.toml)"
             )
-        check_blocks(blocks, machine)
-    return tuple(blocks)
-
-
-def judge_beside(
-    blocks: Sequence[Synchronous],
-    machine: Machine,
-    law: LawLike,
-    block: Base,
-    progress: Callable[[str], None],
-    *,
-    force: bool,
-) -> tuple[RunUnit, tuple[Checks, ...]]:
-    """The unit of a controller block and its synchronous blocks, and their checks with the law that
-    runs. Raises UnstableSystem for blocks that diverge, unless forced.
-    """
-    rate, delay = 1 / block.sample_time, block.delay
-    judged = tuple(
-        check_block(item, progress) for item in block_loops(machine, law, blocks, rate, delay)
-    )
-    if not force and (found := diverging(judged)):
-        raise UnstableSystem(f"{'; '.join(found)}; give another T, or force the export")
-    running = running_law(blocks, synchronous_loop(machine, law, rate, delay))
-    gaps = [bearing.touchdown_gap for bearing in machine.bearings if bearing.touchdown_gap]
-    contact = np.full(len(block.inputs), _TOUCH * min(gaps, default=np.inf))
-    return RunUnit(block, in_order(running, machine.axes, block), contact), judged
+        extension("refuse")(blocks, machine)
+    return blocks
 
 
 def diverging(judged: Sequence[Checks]) -> tuple[str, ...]:
@@ -358,7 +330,9 @@ def export(
             runs = (
                 synthesis if isinstance(deployment, ScheduledDeployment) else deployment.controller
             )
-            law, judged = judge_beside(around, machine, runs, block, progress, force=target.force)
+            law, judged = extension("unit")(
+                around, machine, runs, block, progress, force=target.force
+            )
         part: AxialPart | None = None
         shaft: Sequence[str] = ()
         if along is not None and machine is not None:

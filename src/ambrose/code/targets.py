@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from ambrose.code.c.code import Arithmetic, Precision
+    from ambrose.code.interface import Base, Law
     from ambrose.code.processor_trial import Trial
     from ambrose.code.sampled import Deployment, Progress, ScheduledDeployment
-    from ambrose.code.synchronous import AnyLaw, Base
     from ambrose.core.sampling import Method
     from ambrose.judge.result import Synthesis
     from ambrose.law.law import Scheduling
@@ -105,7 +105,7 @@ class Target(AsItRuns, ABC):
     @abstractmethod
     def files(
         self,
-        law: AnyLaw,
+        law: Law,
         lines: Sequence[str],
         along: Sequence[str] = (),
         made: Made | None = None,
@@ -135,7 +135,7 @@ class Target(AsItRuns, ABC):
         Raises InvalidInput.
         """
 
-    def tried(self, law: AnyLaw, files: Files, progress: Progress) -> Trial | None:
+    def tried(self, law: Law, files: Files, progress: Progress) -> Trial | None:
         """The files of a law, run on the target's processor; None: it is not tried. Raises
         InvalidInput.
         """
@@ -257,7 +257,7 @@ class C(Target):
         if self.flash is not None or self.ram is not None:
             check_room(unit_of(block(), self.arithmetic), processor, self.flash, self.ram)
 
-    def tried(self, law: AnyLaw, files: Files, progress: Progress) -> Trial | None:
+    def tried(self, law: Law, files: Files, progress: Progress) -> Trial | None:
         from ambrose.code.processor_build import processor_named, unit_of
         from ambrose.code.processor_trial import check_room, try_unit
 
@@ -270,12 +270,12 @@ class C(Target):
 
     def files(
         self,
-        law: AnyLaw,
+        law: Law,
         lines: Sequence[str],
         along: Sequence[str] = (),
         made: Made | None = None,
     ) -> Files:
-        from ambrose.code.c.synchronous import law_files
+        from ambrose.code.c.code import law_files
         from ambrose.code.processor_build import bare_metal_files
 
         files = law_files(law, self.arithmetic, lines, along)
@@ -292,7 +292,7 @@ class Mat(Target):
 
     def files(
         self,
-        law: AnyLaw,
+        law: Law,
         lines: Sequence[str],
         along: Sequence[str] = (),
         made: Made | None = None,
@@ -323,7 +323,7 @@ class Fmu(Target):
 
     def files(
         self,
-        law: AnyLaw,
+        law: Law,
         lines: Sequence[str],
         along: Sequence[str] = (),
         made: Made | None = None,
@@ -344,7 +344,7 @@ class St(Target):
 
     def files(
         self,
-        law: AnyLaw,
+        law: Law,
         lines: Sequence[str],
         along: Sequence[str] = (),
         made: Made | None = None,

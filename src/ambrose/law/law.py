@@ -17,12 +17,14 @@ from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 
-from ambrose.core.checks import invalid
+from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.scheduled import AND, ScheduledSystem
 from ambrose.core.statespace import ControllerLike, StateSpace, as_statespace, is_system
 from ambrose.machine.description import OperatingPoint
+from ambrose.machine.machine import Machine
 from ambrose.machine.part import Synchronous
 from ambrose.model.plant import Plant
+from ambrose.registry import registered, resolve
 
 # A controller that exists as a running program: the rig hands it the errors of one sample and takes
 # its currents.
@@ -251,6 +253,11 @@ class Law(ABC):
         """The blocks beside it that act at the speed of rotation; most laws have none."""
         return ()
 
+    def blocks_on(self, machine: Machine) -> tuple[Synchronous, ...]:
+        """The blocks beside it on a machine: its own, else those of the machine file."""
+        settings = machine.controller
+        return self.synchronous or (() if settings is None else settings.synchronous)
+
     @property
     def thrust(self) -> Law | None:
         """The law of the thrust axis beside it, of one that holds both groups of axes."""
@@ -321,6 +328,19 @@ class Law(ABC):
             return point
         low, high = (float(np.atleast_1d(end)[-1]) for end in self.range)  # the pressure is last
         return replace(point, seal_pressure=min(max(point.seal_pressure, low), high))
+
+
+def extension(verb: str) -> Any:
+    """What is registered to be done with the blocks beside a law: "request", "design", "refuse",
+    "loops", "check", "doubts", "program" or "unit". Raises InvalidInput where nothing is.
+    """
+    place = registered("beside").get(verb)
+    if place is None:
+        raise InvalidInput(
+            "blocks beside a controller need ambrose.annexes.synchronous, which this installation "
+            "lacks; leave them out"
+        )
+    return resolve(place)
 
 
 # speed [rad/s], or what its attribute ``parameter`` says, -> the law there

@@ -59,15 +59,6 @@ class Pulse:
     duration: float | None = None
     every: float | None = None
 
-    def __post_init__(self) -> None:
-        if self.every is not None and (self.duration is None or not self.duration <= self.every):
-            raise invalid(
-                f"every of the pulse on {self.signal}",
-                self.every,
-                "at least its duration",
-                "lengthen it",
-            )
-
 
 @dataclass(frozen=True, slots=True)
 class Sine:
@@ -81,11 +72,6 @@ class Sine:
     phase: float = 0.0
     start: float = 0.0
     duration: float | None = None
-
-    def __post_init__(self) -> None:
-        check_positive(
-            self.frequency, f"the frequency of the sine on {self.signal}", "give it in rad/s"
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -436,6 +422,14 @@ class Scenario(Presented):
             check_positive(self.sample_time, "sample_time", "give it in seconds")
         for item in self.all_windows:
             check_disturbance(item, self.duration)
+        for pulse in self.pulses:
+            every, duration = pulse.every, pulse.duration
+            if every is not None and (duration is None or not duration <= every):
+                what = f"every of the pulse on {pulse.signal}"
+                raise invalid(what, every, "at least its duration", "lengthen it")
+        for sine in self.all_sines:
+            what = f"the frequency of the sine on {sine.signal}"
+            check_positive(sine.frequency, what, "give it in rad/s")
         starts = [("the time of a change of pressure", item.time) for item in self.pressures]
         starts += [("the time of a failure", item.time) for item in self.failures]
         starts += [

@@ -39,7 +39,7 @@ from ambrose.code.block.fixed_point import (
 )
 from ambrose.code.block.run import FLOOR, Vectors, as_csv, vectors_of
 from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock
-from ambrose.code.interface import KINDS, TYPES, interface_of
+from ambrose.code.interface import KINDS, TYPES, AllAxes, Law, interface_of
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.scheduled import grid_points
 from ambrose.law.supervision import Fault, State
@@ -700,3 +700,70 @@ def _scheduled_report(block: ScheduledBlock, run: Vectors) -> dict[str, Any]:
             }
         )
     return {"outputs": _output_rows(block, run.rounding), "points": points}
+
+
+# The radial controller and the axial one as one C function of all axes.
+
+
+_ROWS = 500  # samples of the self-test
+_SIDES = ("INPUTS", "OUTPUTS")
+
+
+@singledispatch
+def law_files(
+    law: Law, arithmetic: Arithmetic, provenance: Sequence[str] = (), along: Sequence[str] = ()
+) -> dict[str, str]:
+    """The files of a unit by name, whatever it runs. along: the provenance of the part along the
+    shaft. Raises InvalidInput.
+    """
+    raise NotImplementedError
+
+
+@law_files.register
+def _(
+    law: Block, arithmetic: Arithmetic, provenance: Sequence[str] = (), along: Sequence[str] = ()
+) -> dict[str, str]:
+    return generate(law, arithmetic, provenance)
+
+
+@law_files.register
+def _(
+    law: AllAxes, arithmetic: Arithmetic, provenance: Sequence[str] = (), along: Sequence[str] = ()
+) -> dict[str, str]:
+    # <name>_axes.h, .c and _axes_test.c stand on the files of both parts
+    radial, axial = law.radial, law.axial
+    own, face = interface_of(radial, arithmetic), interface_of(law, arithmetic)
+    base = radial.base
+    fixed = arithmetic.startswith("fixed")
+    zero, sizes = "0" if fixed else literal(0.0, arithmetic), f"{base.name.upper()}_AXES"
+    # where nothing was told, no pulse came
+    still = {"pulse": f"{zero} - 1", "flags": "0u"} | dict.fromkeys(base.told, zero)
+    limits = [*base.error_limit.tolist(), *axial.error_limit.tolist()]
+    scales = ["0.125" if fixed else literal(limit / 8, "double") for limit in limits]
+    facts = {
+        "name": base.name,
+        "prefix": base.name.upper(),
+        "header": f"{own.name}.h",
+        "unit": own.memory,
+        "init": f"{own.name}_init",
+        "axial": axial.name,
+        "axial_prefix": axial.name.upper(),
+        "sample_time": f"{base.sample_time:.9g}",
+        "inputs": [*base.inputs, *axial.inputs],
+        "outputs": [*base.outputs, *axial.outputs],
+        "declared": face.declared(f"{base.name}_real", *(f"{sizes}_{n}" for n in _SIDES)),
+        "names": ", ".join(one.name for one in face.arguments),
+        "called": ", ".join(still.get(one.name, one.name) for one in face.arguments[:-1]),
+        "step_name": f"{own.name}_step",
+        "sources": " ".join(face.sources),
+        "rows": _ROWS,
+        "fixed": fixed,
+        # an eighth of every error's limit, the self-test's amplitude: in counts, or in metres
+        "scales": f"{{{', '.join(scales)}}}",
+    }
+    ends = ("axes.h", "axes.c", "axes_test.c")
+    return {
+        **law_files(radial, arithmetic, provenance),
+        **generate(axial, arithmetic, along),
+        **{f"{base.name}_{end}": render(f"{end}.j2", facts) for end in ends},
+    }

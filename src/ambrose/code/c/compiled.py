@@ -27,10 +27,8 @@ import numpy as np
 from ambrose.code.block.block import REASON_AT, Block, ControlBlock
 from ambrose.code.block.fixed_point import in_words
 from ambrose.code.block.scheduled import ScheduledBlock
-from ambrose.code.c.code import WORDS, Arithmetic, Precision
-from ambrose.code.c.synchronous import law_files
-from ambrose.code.interface import KINDS, TYPES, Interface, Law, interface_of, parts_of
-from ambrose.code.synchronous import AllAxes
+from ambrose.code.c.code import WORDS, Arithmetic, Precision, law_files
+from ambrose.code.interface import KINDS, TYPES, AllAxes, Interface, Law, interface_of, parts_of
 from ambrose.core.checks import InvalidInput, check_shape, invalid
 from ambrose.core.statespace import StateSpace, append
 from ambrose.law.supervision import Fault
