@@ -5,10 +5,16 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ambrose.annexes.synchronous.block_code import (
+    RunUnit,
+    UnitRun,
+    generate_run,
+    generate_synchronous,
+    generate_words,
+)
 from ambrose.code.block.synchronous_twin import SynchronousWords
 from ambrose.code.c.code import Arithmetic
 from ambrose.code.c.compiled import Loaded
-from ambrose.code.c.synchronous import generate_run, generate_synchronous, generate_words
 from ambrose.code.interface import (
     TYPES,
     Argument,
@@ -17,7 +23,6 @@ from ambrose.code.interface import (
     amplitudes_at,
     interface_of,
 )
-from ambrose.code.synchronous import RunUnit, UnitRun
 from ambrose.law.synchronous_block import BlockState, SynchronousLaw
 
 
@@ -162,7 +167,7 @@ class CompiledRun:
         contact: ArrayLike | None = None,
         enabled: ArrayLike | None = None,
     ) -> UnitRun:
-        """As ``code.synchronous.run_unit``; its states are left empty."""
+        """As ``annexes.synchronous.block_code.run_unit``; its states are left empty."""
         e, times = np.asarray(errors, float), np.asarray(pulses, float)
         (count, n), names = e.shape, self.unit.base.told
         blocks = range(len(self.unit.law.blocks))

@@ -21,23 +21,23 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose import load_machine
+from ambrose.annexes.synchronous.block_code import RunUnit, run_unit
+from ambrose.annexes.synchronous.block_design import design_synchronous
+from ambrose.annexes.synchronous.block_loop import conditions, running_law, synchronous_loop
+from ambrose.annexes.synchronous.running import synchronous_program
 from ambrose.code.block.block import build_block
 from ambrose.code.pipeline import machine_limits
 from ambrose.code.sampled import deploy
-from ambrose.code.synchronous import RunUnit, run_unit
 from ambrose.core.statespace import StateSpace, select
 from ambrose.core.synchronous import borders, convergence
 from ambrose.law.pid import pid_controller
-from ambrose.law.synchronous import conditions, running_law, synchronous_loop
 from ambrose.law.synchronous_block import key_phasor
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
 from ambrose.model.static_load import residual_unbalance
 from ambrose.rig.scenario import Scenario, Unbalance
-from ambrose.rig.synchronous import synchronous_program
 from ambrose.rig.virtual_rig import run
-from ambrose.synthesis.synchronous_design import design_synchronous
 from benchmarks.compiled_synchronous import CompiledRun, CompiledSynchronous
 from benchmarks.unbalance_estimate import unbalance_from_amplitudes
 

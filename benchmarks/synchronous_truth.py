@@ -28,12 +28,9 @@ from functools import cache
 import numpy as np
 
 from ambrose import design
-from ambrose.core.checks import InvalidInput
-from ambrose.core.statespace import StateSpace
-from ambrose.core.synchronous import best_inverse, convergence
-from ambrose.judge.synchronous import orbit_limit
-from ambrose.judge.synchronous_speeds import sensitivity_peak
-from ambrose.law.synchronous import (
+from ambrose.annexes.synchronous.block_checks import orbit_limit
+from ambrose.annexes.synchronous.block_design import check_base_loop, design_synchronous
+from ambrose.annexes.synchronous.block_loop import (
     BlockTable,
     Condition,
     Converged,
@@ -46,6 +43,11 @@ from ambrose.law.synchronous import (
     running_law,
     synchronous_loop,
 )
+from ambrose.annexes.synchronous.running import synchronous_program
+from ambrose.annexes.synchronous.speeds import sensitivity_peak
+from ambrose.core.checks import InvalidInput
+from ambrose.core.statespace import StateSpace
+from ambrose.core.synchronous import best_inverse, convergence
 from ambrose.law.synchronous_block import BlockState
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
@@ -53,9 +55,7 @@ from ambrose.model.plant import Plant
 from ambrose.model.static_load import magnet_coefficients, residual_unbalance
 from ambrose.model.uncertainty import perturbed, tolerances_around
 from ambrose.rig.scenario import Scenario, Unbalance
-from ambrose.rig.synchronous import synchronous_program
 from ambrose.rig.virtual_rig import run
-from ambrose.synthesis.synchronous_design import check_base_loop, design_synchronous
 from benchmarks.box_attack import ports
 from benchmarks.compiled_synchronous import CompiledSynchronous
 from benchmarks.synchronous import (

@@ -21,15 +21,16 @@ from typing import Any
 import numpy as np
 
 import ambrose as amb
+from ambrose.annexes.synchronous.block_code import RunUnit
 from ambrose.code.block.block import ControlBlock, build_block
 from ambrose.code.block.cascade import build_cascade
 from ambrose.code.block.scheduled import ScheduledBlock, build_scheduled_block, supervise
 from ambrose.code.in_loop import InLoop, simulate_on_target
+from ambrose.code.interface import Law
 from ambrose.code.pipeline import machine_limits
 from ambrose.code.processor_build import PROCESSORS, unit_of
 from ambrose.code.processor_trial import Trial, stimulus, try_unit
 from ambrose.code.sampled import deploy, deploy_scheduled
-from ambrose.code.synchronous import Law, RunUnit
 from ambrose.code.targets import C
 from ambrose.core.checks import InvalidInput
 from ambrose.law.supervision import Limits

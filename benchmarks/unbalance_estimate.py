@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ambrose.annexes.site.balancing_vectors import per_unbalance
+from ambrose.annexes.synchronous.block_loop import Condition, SynchronousLoop
 from ambrose.core.checks import check_shape, invalid
-from ambrose.law.synchronous import Condition, SynchronousLoop
 
 
 @dataclass(frozen=True, slots=True, eq=False)

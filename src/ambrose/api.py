@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from ambrose.options import Rejecting
     from ambrose.rig.trace import Trace
     from ambrose.synthesis.methods import Method
-    from ambrose.synthesis.synchronous_design import SynchronousDesign
 
 Progress = Callable[[str], None]
 
@@ -141,9 +140,7 @@ def design(
     result = replace(result, thrust=thrust[0]) if thrust else result
     if block is None:
         return result
-    from ambrose.synthesis.synchronous_design import in_words
-
-    left_out = tuple(f"synchronous block: {in_words(item)}" for item in block.forbidden)
+    left_out = tuple(f"synchronous block: {item}" for item in block.left_out)
     return replace(result, notes=(*result.notes, *left_out, *block.notes))
 
 
@@ -172,20 +169,19 @@ def design_with_block(
     point: OperatingPoint | str | None = None,
     progress: Progress = _quiet,
     **options: Any,
-) -> tuple[Synthesis, SynchronousDesign | None]:
-    """The controller of ``design``, and the block beside it, whose own notes are not the
-    controller's. Raises InvalidInput.
+) -> tuple[Synthesis, Any]:
+    """The controller of ``design``, and the design of the block beside it (None: there is none),
+    whose own notes are not the controller's. Raises InvalidInput.
     """
     from ambrose.judge.result import synthesis_of
+    from ambrose.law.law import extension
     from ambrose.model.plant import Plant as PlantType
     from ambrose.synthesis.design import design as designed
 
     name = method if isinstance(method, str) else type(method).__name__.lower()
     described = machine.machine if isinstance(machine, PlantType) else machine_of(machine)
     if asked.synchronous is not None:
-        from ambrose.synthesis.synchronous_design import check_request, design_synchronous
-
-        check_request(asked, name, described)
+        extension("request")(asked, name, described)
     if isinstance(machine, PlantType) and point is not None:
         raise InvalidInput(
             f"the plant is at {machine.point.label!r} already; give the machine to choose another "
@@ -198,7 +194,7 @@ def design_with_block(
         result = synthesis_of(controller_of(asked.base, described))
     if asked.synchronous is None:
         return result, None
-    block = design_synchronous(
+    block = extension("design")(
         described,
         result,
         asked.synchronous,
@@ -438,7 +434,6 @@ def _known_laws(
     InvalidInput.
     """
     from ambrose.judge.result import machine_pid
-    from ambrose.law.law import AllAxesProgram
     from ambrose.law.loop import check_side
     from ambrose.machine.machine import THRUST
     from ambrose.model.plant import Plant as PlantType
@@ -450,9 +445,7 @@ def _known_laws(
         return law, controller_of(axial)
     others = {} if axes is not None or place is not machine else machine.groups
     along = others.get(THRUST)
-    if along is None or along is own or law.thrust is not None or along.reference is None:
-        return law, None
-    if isinstance(law.program, AllAxesProgram):  # it has the thrust axis
+    if along is None or along is own or law.thrust or law.all_axes or along.reference is None:
         return law, None
     check_side(law.inputs, machine)
     return law, machine_pid(along)

@@ -42,8 +42,9 @@ def registered(kind: str) -> dict[str, Any]:
 
     kind: "design command", "site command" or "research command" (the groups of the command line's
     help), "public", "page" (of a result, by the name of its type), "method", "moving_proof",
-    "companion", "effect" or "study file" (what a study leaves besides its report). Raises
-    RuntimeError where two register one name: a defect of the installation, not of the input.
+    "companion", "effect", "beside" (what is done with the blocks beside a law) or "study file"
+    (what a study leaves besides its report). Raises RuntimeError where two register one name: a
+    defect of the installation, not of the input.
     """
     return {**_stated(kind), **_ADDED.get(kind, {})}
 

@@ -10,10 +10,14 @@ import pytest
 
 import st_compiled
 from ambrose import StateSpace
+from ambrose.annexes.synchronous.block_code import (
+    FAULTS,
+    RunUnit,
+    generate_run_structured_text,
+    run_unit,
+)
 from ambrose.code.block.block import build_block
 from ambrose.code.sampled import deploy
-from ambrose.code.structured_text import FAULTS, generate_run_structured_text
-from ambrose.code.synchronous import RunUnit, run_unit
 from ambrose.code.targets import Mat, St
 from ambrose.core.checks import InvalidInput
 from ambrose.law.synchronous_block import (

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.source
 PACKAGE = Path(ambrose.__file__).parent
 # what makes checks of a controller: the verdict's own room, and the proofs of the annex that join
 # it there
-ROOMS = [PACKAGE / "judge", PACKAGE / "annexes" / "scheduled"]
+ROOMS = [PACKAGE / "judge", *(PACKAGE / "annexes" / name for name in ("scheduled", "synchronous"))]
 MAKERS = {"judge", "Check"}
 
 

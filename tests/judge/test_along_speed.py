@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import ambrose as amb
+from ambrose.annexes.synchronous.block_checks import block_loops, check_block
 from ambrose.chain.check import facts
 from ambrose.core.statespace import StateSpace, spectral_abscissa, static_gain
 from ambrose.judge import nominal
 from ambrose.judge.campbell import follow, of_whole, threshold_check
 from ambrose.judge.plants import judge_stability, plants_along_speed, small_along_speed
-from ambrose.judge.synchronous import block_loops, check_block
 from ambrose.law.law import law_of
 from ambrose.law.loop import (
     Timing,

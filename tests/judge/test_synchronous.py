@@ -7,6 +7,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ambrose.annexes.synchronous.block_checks import (
+    block_loops,
+    check_block,
+    forbidden_bands,
+    orbit_limit,
+    unbalance_of,
+    worst_orbits,
+)
+from ambrose.annexes.synchronous.block_design import design_synchronous
+from ambrose.annexes.synchronous.block_loop import (
+    BlockTable,
+    Condition,
+    conditions,
+    forward_patterns,
+    loop_pencils,
+    prove_interval,
+    running_table,
+    synchronous_loop,
+)
+from ambrose.annexes.synchronous.speeds import frozen, resonator, sensitivity
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace, select
@@ -19,30 +39,10 @@ from ambrose.core.synchronous import (
 )
 from ambrose.judge.controller_file import read_controller, write_controller
 from ambrose.judge.result import Synthesis
-from ambrose.judge.synchronous import (
-    block_loops,
-    check_block,
-    forbidden_bands,
-    orbit_limit,
-    unbalance_of,
-    worst_orbits,
-)
-from ambrose.judge.synchronous_speeds import frozen, resonator, sensitivity
 from ambrose.law.pid import pid_controller
-from ambrose.law.synchronous import (
-    BlockTable,
-    Condition,
-    conditions,
-    forward_patterns,
-    loop_pencils,
-    prove_interval,
-    running_table,
-    synchronous_loop,
-)
 from ambrose.machine.description import Tolerance
 from ambrose.machine.file.toml import load_machine
 from ambrose.machine.part import Synchronous
-from ambrose.synthesis.synchronous_design import design_synchronous
 
 REST = Condition(0.0)
 
@@ -246,7 +246,7 @@ def test_what_is_converged_is_where_the_resonator_ends(loop, designed):
     """
     speed = 600.0
     block = next(b for b in designed.blocks if b.band[0] < speed < b.band[1])
-    from ambrose.law.synchronous import block_table
+    from ambrose.annexes.synchronous.block_loop import block_table
 
     T = block_table(block, loop.machine).at(speed)
     closed = loop.sampled(speed, REST)
@@ -325,7 +325,7 @@ def test_a_leak_leaves_what_the_exact_loop_leaves(loop, designed):
     """e with the block settled over e without, from the converged phasors and from the exact
     sampled loop at the speed itself.
     """
-    from ambrose.law.synchronous import block_table
+    from ambrose.annexes.synchronous.block_loop import block_table
 
     speed, eps, leak = 600.0, 2.0, 0.05
     T = block_table(designed.blocks[1], loop.machine).at(speed)
@@ -379,7 +379,7 @@ def test_a_band_in_which_nothing_is_left_and_an_unstable_loop_are_refused(flywhe
 def test_the_sensitivity_with_the_block_has_a_zero_at_the_speed_and_is_that_of_the_closed_loop(
     loop, designed
 ):
-    from ambrose.law.synchronous import block_table
+    from ambrose.annexes.synchronous.block_loop import block_table
 
     speed, eps = 600.0, 12.0
     T = block_table(designed.blocks[1], loop.machine).at(speed)

@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from ambrose.annexes.synchronous import block_checks
+from ambrose.annexes.synchronous.block_checks import block_loops, member_margins
+from ambrose.annexes.synchronous.block_design import design_synchronous
+from ambrose.annexes.synchronous.block_gain import usable_tables
+from ambrose.annexes.synchronous.block_loop import BlockTable, Condition, block_of, synchronous_loop
+from ambrose.annexes.synchronous.speeds import Resonator, growth
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import StateSpace
-from ambrose.judge import synchronous
-from ambrose.judge.synchronous import block_loops, member_margins
-from ambrose.judge.synchronous_speeds import Resonator, growth
 from ambrose.law.pid import pid_controller
-from ambrose.law.synchronous import BlockTable, Condition, block_of, synchronous_loop
 from ambrose.machine.file.toml import loads_machine
-from ambrose.synthesis.synchronous_design import design_synchronous
-from ambrose.synthesis.synchronous_gain import usable_tables
 
 REST = Condition(0.0)
 DT = 2.5e-5
@@ -247,14 +247,14 @@ def test_an_antiresonance_between_the_speeds_of_a_table_is_found(tip):
     assert few.max() < 0
     assert fine.max() > 10
     found = item.survey(item.conditions)
-    check = synchronous._gain_check(item, found)
+    check = block_checks._gain_check(item, found)
     assert check.passed is False
     place = found.least_stable
     assert "refined" in check.title
     assert f"{found.count} speeds" in check.title
     (own,) = own_growths(machine, law, item, [place.look.speed])
     assert place.growth == pytest.approx(own, rel=1e-5)
-    sensitivity = synchronous._sensitivity_check(item, found)
+    sensitivity = block_checks._sensitivity_check(item, found)
     assert sensitivity.passed is False
 
 
@@ -276,8 +276,8 @@ def test_a_design_leaves_the_antiresonances_out_and_passes(tip):
         for corner in item.corners():
             assert own_growths(machine, law, item, speeds, corner).max() < 0
         found = item.survey(item.conditions)
-        assert synchronous._gain_check(item, found).passed
-        assert synchronous._time_check(item, found, None).passed
+        assert block_checks._gain_check(item, found).passed
+        assert block_checks._time_check(item, found, None).passed
 
 
 def test_a_block_that_never_settles_fails(tip):
@@ -285,13 +285,13 @@ def test_a_block_that_never_settles_fails(tip):
     block = inverse_block(machine, law, "current-free", (700.0, 800.0), 5, 1e9)
     (item,) = block_loops(machine, law, (block,))
     found = item.survey(item.conditions)
-    check = synchronous._time_check(item, found, None)
+    check = block_checks._time_check(item, found, None)
     assert check.passed is False
     assert check.value == pytest.approx(1e9, rel=0.1)
     quick = replace(item, block=replace(block, time_constant=0.5))
-    assert synchronous._time_check(quick, found, None).passed is True
+    assert block_checks._time_check(quick, found, None).passed is True
     # 100 rad/s at 100 rad/s^2 leave one second
-    assert synchronous._time_check(quick, found, 100.0).passed is False
+    assert block_checks._time_check(quick, found, 100.0).passed is False
 
 
 def test_a_block_that_moves_once_a_turn_beside_another_is_judged_as_it_runs():
@@ -414,9 +414,9 @@ def greens_and_reds(seed):
     (item,) = block_loops(machine, law, (block,))
     speeds = np.linspace(*band, 121)
     corners = item.corners()
-    green = synchronous._gain_check(item, item.survey(item.conditions)).passed
+    green = block_checks._gain_check(item, item.survey(item.conditions)).passed
     boxed = item.survey(corners, members=True)
-    green_box = synchronous._gain_check(item, boxed, len(corners)).passed
+    green_box = block_checks._gain_check(item, boxed, len(corners)).passed
     red = own_growths(machine, law, item, speeds).max() > 0
     red_box = max(own_growths(machine, law, item, speeds, c).max() for c in corners) > 0
     return bool(green), bool(red), bool(green_box), bool(red_box)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import ambrose as amb
+from ambrose.annexes.synchronous.running import beside_law
 from ambrose.core.checks import InvalidInput
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
@@ -15,7 +16,6 @@ from ambrose.law.loop import Timing
 from ambrose.law.pid import pid_controller
 from ambrose.machine.part import Synchronous
 from ambrose.rig.scenario import Scenario, Unbalance
-from ambrose.rig.synchronous import beside_law
 
 HOLD = Scenario("hold", 0.6, unbalances=(Unbalance("upper", 40e-6),), speed=800.0)
 

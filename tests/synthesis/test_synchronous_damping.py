@@ -9,22 +9,22 @@ import pytest
 from click.testing import CliRunner
 
 import ambrose as amb
-from ambrose.cli import main
-from ambrose.core.checks import InvalidInput
-from ambrose.judge.synchronous import (
+from ambrose.annexes.synchronous.block_checks import (
     block_loops,
     check_block,
     converged_at,
     unbalance_of,
     worst_orbits,
 )
+from ambrose.annexes.synchronous.block_design import design_synchronous
+from ambrose.annexes.synchronous.block_loop import Condition, running_law, synchronous_loop
+from ambrose.annexes.synchronous.running import synchronous_program
+from ambrose.cli import main
+from ambrose.core.checks import InvalidInput
 from ambrose.law.pid import pid_controller
-from ambrose.law.synchronous import Condition, running_law, synchronous_loop
 from ambrose.machine.file.toml import load_machine
 from ambrose.rig.scenario import Scenario, Unbalance
-from ambrose.rig.synchronous import synchronous_program
 from ambrose.rig.virtual_rig import run
-from ambrose.synthesis.synchronous_design import design_synchronous
 
 REST = Condition(0.0)
 BAND = (700.0, 740.0)

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ambrose.law.synchronous import BlockTable
-from ambrose.synthesis import synchronous_gain
+from ambrose.annexes.synchronous import block_gain
+from ambrose.annexes.synchronous.block_loop import BlockTable
 
 BAND, GAIN = (100.0, 400.0), 12.0
 
@@ -22,8 +22,8 @@ def sensitive(monkeypatch):
         size = 0.0 if T is None else np.linalg.norm(T, 2)
         return 1.0 + 2.0 * eps * size / largest(speed), speed
 
-    monkeypatch.setattr(synchronous_gain, "sensitivity_peak", peak)
-    monkeypatch.setattr(synchronous_gain, "demand", lambda *args: SimpleNamespace(limit=3.0))
+    monkeypatch.setattr(block_gain, "sensitivity_peak", peak)
+    monkeypatch.setattr(block_gain, "demand", lambda *args: SimpleNamespace(limit=3.0))
     return SimpleNamespace(machine=SimpleNamespace(requirements=None))
 
 
@@ -32,7 +32,7 @@ def test_eps_is_that_of_each_speed_and_not_of_the_worst(sensitive):
     T = rng.standard_normal((4, 2, 2)) + 1j * rng.standard_normal((4, 2, 2))
     T /= np.linalg.norm(T, 2, axis=(1, 2))[:, None, None]
     table = BlockTable(np.array([100.0, 220.0, 330.0, 400.0]), T)
-    eps, smaller, words = synchronous_gain.sensitive_table(
+    eps, smaller, words = block_gain.sensitive_table(
         sensitive, "current-free", BAND, table, (None,), GAIN
     )
     assert eps == GAIN  # at the high end nothing holds it back
@@ -51,5 +51,5 @@ def test_eps_is_that_of_each_speed_and_not_of_the_worst(sensitive):
 
 def test_what_keeps_the_sensitivity_everywhere_is_left_as_it_is(sensitive):
     table = BlockTable(np.array([100.0]), np.eye(2, dtype=complex)[None])
-    found = synchronous_gain.sensitive_table(sensitive, "damping", BAND, table, (None,), 0.4)
+    found = block_gain.sensitive_table(sensitive, "damping", BAND, table, (None,), 0.4)
     assert found == (0.4, table, "")

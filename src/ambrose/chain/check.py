@@ -17,11 +17,12 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import AmbroseError, InvalidInput, named_failure
-from ambrose.core.statespace import StateSpace, poles, spectral_abscissa
+from ambrose.core.statespace import StateSpace, poles
 from ambrose.judge.campbell import BEYOND_TOP, PLANAR, threshold_speed, whirl_measure
 from ambrose.judge.loop_response import beyond_reach, unavoidable_sensitivity, unavoidable_words
 from ambrose.judge.nominal import below_stiffness, stiffness_margin
 from ambrose.judge.plants import judge_stability
+from ambrose.law.law import extension
 from ambrose.law.loop import closed_loop, machine_timing, running_law
 from ambrose.law.pid import axes_mixings, channel_chains, first_settings, mixings, pid_controller
 from ambrose.machine.attachment import attached
@@ -434,38 +435,8 @@ def block_doubts(machine: Machine) -> Iterator[str]:
     controller at both ends and the middle of their bands: a T with the wrong sign or angle.
     """
     settings = machine.reference
-    if settings is None or not settings.synchronous:
-        return
-    from ambrose.core.synchronous import convergence
-    from ambrose.judge.synchronous import block_loops
-
-    law = pid_controller(settings, machine)
-    for i, item in enumerate(block_loops(machine, law, settings.synchronous), 1):
-        speeds = item.speeds(3).tolist()
-        try:
-            first = item.conditions[0]
-            lost = [w for w in speeds if spectral_abscissa(item.loop.sampled(w, first)) >= 0]
-            if lost:  # no fault of T
-                yield (
-                    f"[[controller.synchronous]] {i}: without the block the [controller] does not "
-                    f"hold the rotor at {lost[0] * _RPM:,.5g} rpm, in the block's band; tune it "
-                    "first"
-                )
-                continue
-            seen = [item.loop.signals(item.mode, w, first) for w in speeds]
-            # da/dt = -eps T R a converges where every eigenvalue of T R has a positive real part
-            real = [
-                float(convergence(item.running.at(w), response))
-                for w, response in zip(speeds, seen, strict=True)
-            ]
-        except AmbroseError:  # no model at one of them, which verify says
-            continue
-        if max(real) < 0:
-            yield (
-                f"[[controller.synchronous]] {i}: {item.mode} with this T drives away what it is "
-                f"to bring to zero at all of {', '.join(f'{w * _RPM:,.5g}' for w in speeds)} rpm; "
-                "check the sign and the angle of T, 180 degrees are a wrong sign"
-            )
+    if settings is not None and settings.synchronous:
+        yield from extension("doubts")(machine, settings)
 
 
 def _uneven_blocks(machine: Machine) -> Iterator[str]:

@@ -116,19 +116,18 @@ def synthesize(
     from ambrose.api import assemble, design_thrust, design_with_block
     from ambrose.core.checks import invalid
     from ambrose.judge.controller_file import write_controller
+    from ambrose.law.law import extension
     from ambrose.machine.file.update import save_machine
     from ambrose.machine.machine import THRUST
     from ambrose.synthesis.design import another_point
 
-    beside = {item.name: asked.pop(item.name) for item in fields(Rejecting)}
-    block_options = asked_for(Rejecting, beside)
+    given = {item.name: asked.pop(item.name) for item in fields(Rejecting)}
+    block_options = asked_for(Rejecting, given)
     chosen = chosen_from(METHODS, method, asked, _METHOD_OPTION)
     description = load(machine, part=False)
     on_machine = chosen.on(description)  # refuses before the design, which takes a while
     if block_options.synchronous is not None:
-        from ambrose.synthesis.synchronous_design import check_request, in_words
-
-        check_request(block_options, method, description)
+        extension("request")(block_options, method, description)
     if machine_file is not None and getattr(chosen, "structure", None) not in {"pid", "filters"}:
         raise invalid(
             "--machine-file",
@@ -154,7 +153,7 @@ def synthesize(
             where = f" at {plant.point.label or 'the design point'}"
             progress(f"designing ({method})")
         else:
-            law = load_controller(beside["base"], description)
+            law = load_controller(given["base"], description)
             block_options, method = replace(block_options, base=law), law.method
         result, block = design_with_block(
             plant or description, chosen, block_options, progress=progress
@@ -205,7 +204,7 @@ def synthesize(
                 ("on", f"{low:.4g} to {high:.4g} rad/s")
                 for low, high in (item.band for item in block.blocks)
             ]
-            lines += [("left out", in_words(item)) for item in block.forbidden]
+            lines += [("left out", item) for item in block.left_out]
             lines += [("note", note) for note in block.notes]
             print_table(f"synchronous block, {block.mode}", ("block", "value"), lines)
     if failure is not None:

@@ -16,13 +16,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from ambrose.code.block.block import ControlBlock, check_identifier, render
-from ambrose.code.block.scheduled import ScheduledBlock
-from ambrose.code.c.code import Arithmetic, block_facts
+from ambrose.code.block.block import Block, check_identifier, render
+from ambrose.code.c.code import Arithmetic, block_facts, law_files
 from ambrose.code.c.compiled import COMPILERS, build_library, build_probe, find_compiler
-from ambrose.code.c.synchronous import law_files
-from ambrose.code.interface import interface_of, parts_of
-from ambrose.code.synchronous import AnyLaw
+from ambrose.code.interface import Law, interface_of, parts_of
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.version import __version__
 
@@ -58,7 +55,6 @@ FAULTS = (
     ("sync_disabled", "the blocks are switched off"),
     ("sync_input", "a reading is not usable"),
 )
-AnyBlock = ControlBlock | ScheduledBlock
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,12 +73,12 @@ class Variable:
     nominal: float | None = None
 
 
-def transfers(law: AnyLaw) -> bool:
+def transfers(law: Law) -> bool:
     """Whether it can follow given currents: a unit of all axes has no such step."""
     return law.base.transfers and law.axial is None
 
 
-def flags(block: AnyBlock) -> tuple[tuple[str, str], ...]:
+def flags(block: Block) -> tuple[tuple[str, str], ...]:
     """The status flags in the order of their bits, each with what it says."""
     if not block.told:
         return FLAGS
@@ -95,7 +91,7 @@ def flags(block: AnyBlock) -> tuple[tuple[str, str], ...]:
     )
 
 
-def variables(law: AnyLaw) -> tuple[Variable, ...]:
+def variables(law: Law) -> tuple[Variable, ...]:
     """Time, errors, their flags, [speed or pressure], [the rotor's angle, contact, blocks off],
     [tracking, given currents], currents, status flags, [faults of the blocks], [status flags of the
     axis along the shaft], in the order of value references; errors, their flags and currents of
@@ -116,15 +112,13 @@ def variables(law: AnyLaw) -> tuple[Variable, ...]:
         Variable(f"valid_{name}", "boolean", "input", "", f"{name} may be used", "true")
         for name, _ in errors
     ]
-    if isinstance(block, ScheduledBlock):
-        (low, high), along = block.grid[[0, -1]].tolist(), block.along
+    for one, axis, limit, _ in block.alone:
+        low, high = axis[[0, -1]].tolist()
         text = (
             f"what the controller is scheduled over, from {low:.9g} to {high:.9g}, plausible "
-            f"within +-{block.told_limit:.9g}"
+            f"within +-{limit:.9g}"
         )
-        found.append(
-            Variable(along.name, "real", "input", along.unit, text, repr(low), nominal=high)
-        )
+        found.append(Variable(one.name, "real", "input", one.unit, text, repr(low), nominal=high))
     if beside:
         text = "of the rotor, growing; a pulse of the key phasor comes at every whole turn"
         found.append(Variable("angle", "real", "input", "rad", text, "0"))
@@ -149,14 +143,14 @@ def variables(law: AnyLaw) -> tuple[Variable, ...]:
     return tuple(found)
 
 
-def axial_flags(law: AnyLaw) -> tuple[tuple[str, str], ...]:
+def axial_flags(law: Law) -> tuple[tuple[str, str], ...]:
     """The status flags of the axis along the shaft, where there is one."""
     if law.axial is None:
         return ()
     return tuple((f"axial_{name}", f"along the shaft: {text}") for name, text in FLAGS)
 
 
-def references(law: AnyLaw) -> dict[str, int]:
+def references(law: Law) -> dict[str, int]:
     """The first value reference of each group of variables, by the label that the C uses."""
     block, order = law.base, {v.name: i for i, v in enumerate(variables(law))}
     first = {"ERROR": block.inputs[0], "VALID": f"valid_{block.inputs[0]}", "TRACKING": "tracking"}
@@ -173,7 +167,7 @@ def references(law: AnyLaw) -> dict[str, int]:
     return {label: order[name] for label, name in first.items() if name in order}
 
 
-def model_description(law: AnyLaw, version: Version, token: str, text: str) -> str:
+def model_description(law: Law, version: Version, token: str, text: str) -> str:
     """modelDescription.xml. token: the GUID (2.0) or instantiation token (3.0); text: the model in
     one line.
     """
@@ -220,7 +214,7 @@ def model_description(law: AnyLaw, version: Version, token: str, text: str) -> s
     return _text(root)
 
 
-def build_description(law: AnyLaw) -> str:
+def build_description(law: Law) -> str:
     """sources/buildDescription.xml of FMI 3.0."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=law.base.name)
@@ -230,12 +224,12 @@ def build_description(law: AnyLaw) -> str:
     return _text(root)
 
 
-def sources(law: AnyLaw, version: Version) -> tuple[str, ...]:
+def sources(law: Law, version: Version) -> tuple[str, ...]:
     """The files to compile."""
     return (*interface_of(law, "double").sources, f"fmi{version[0]}.c")
 
 
-def _units(root: ET.Element, law: AnyLaw) -> None:
+def _units(root: ET.Element, law: Law) -> None:
     definitions = ET.SubElement(root, "UnitDefinitions")
     for name in dict.fromkeys(v.unit for v in variables(law) if v.unit):
         unit = ET.SubElement(definitions, "Unit", name=name)
@@ -244,7 +238,7 @@ def _units(root: ET.Element, law: AnyLaw) -> None:
             ET.SubElement(unit, "DisplayUnit", name="um", factor="1e6")
 
 
-def _variables(root: ET.Element, law: AnyLaw, *, three: bool) -> None:
+def _variables(root: ET.Element, law: Law, *, three: bool) -> None:
     """The variables with their types: attributes of one element in FMI 3.0, a child element in FMI
     2.0.
     """
@@ -290,7 +284,7 @@ def _attributes(v: Variable) -> dict[str, str]:
     return found
 
 
-def _structure(root: ET.Element, law: AnyLaw, *, three: bool) -> None:
+def _structure(root: ET.Element, law: Law, *, three: bool) -> None:
     """Outputs depend on inputs at the same instant only where the design assumes that currents are
     set at once.
     """
@@ -336,7 +330,7 @@ _FOLDERS = {  # (system, machine): folder of FMI 2.0, folder of FMI 3.0, suffix
 
 
 def generate_fmus(
-    law: AnyLaw,
+    law: Law,
     arithmetic: Arithmetic = "double",
     provenance: Sequence[str] = (),
     *,
@@ -358,7 +352,7 @@ def generate_fmus(
 
 
 def generate_fmu(
-    law: AnyLaw,
+    law: Law,
     version: Version,
     arithmetic: Arithmetic = "double",
     provenance: Sequence[str] = (),
@@ -393,7 +387,7 @@ def generate_fmu(
 
 
 def generate_sources(
-    law: AnyLaw, version: Version, arithmetic: Arithmetic, provenance: Sequence[str] = ()
+    law: Law, version: Version, arithmetic: Arithmetic, provenance: Sequence[str] = ()
 ) -> dict[str, str]:
     """The C of an FMU by name; in fmi2.c or fmi3.c the word TOKEN stands for the token."""
     block, axial = law.base, law.axial
@@ -433,7 +427,7 @@ def generate_sources(
     }
 
 
-def _counts(law: AnyLaw, side: str) -> str:
+def _counts(law: Law, side: str) -> str:
     """The names of what one count is worth, of all errors or currents."""
     return ", ".join(
         f"{block.name.upper()}_{name.upper()}_LSB"
@@ -442,7 +436,7 @@ def _counts(law: AnyLaw, side: str) -> str:
     )
 
 
-def _check_names(law: AnyLaw) -> None:
+def _check_names(law: Law) -> None:
     """The variables' names differ from each other: a signal may not be called like a flag of the
     FMU.
     """
@@ -478,7 +472,7 @@ def _place(version: Version) -> tuple[str, str]:
     return folder, suffix
 
 
-def _compiled(law: AnyLaw, version: Version, code: Mapping[str, str]) -> bytes:
+def _compiled(law: Law, version: Version, code: Mapping[str, str]) -> bytes:
     """The shared library that the sources make here. Raises InvalidInput."""
     flags = ["-fvisibility=hidden"]
     return build_library(check_compiler(), code, sources(law, version), flags, _REMEDY, "-lm")
@@ -497,7 +491,7 @@ def check_compiler() -> str:
     return compiler
 
 
-def _page(law: AnyLaw, text: str, provenance: Sequence[str]) -> str:
+def _page(law: Law, text: str, provenance: Sequence[str]) -> str:
     block = law.base
     late = "at once" if block.delay == 0 else f"{block.delay} sample(s) after the errors were set"
     step = "one sample," if law.beside else "a whole multiple of"

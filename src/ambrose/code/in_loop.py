@@ -118,7 +118,7 @@ class TargetSchedule(TargetProgram):
         super().__init__(unit, processor, contraction=contraction)
         self.told: Any = self.block.range[0]
         self.schedule(self.told)
-        if self.block.supervised:
+        if self.block.watch:
             self._row["estimate"], self._row["half_width"] = math.nan, math.inf  # none
 
     @property

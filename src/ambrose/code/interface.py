@@ -2,6 +2,8 @@
 compiled code, drives it or describes it reads them here.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -9,6 +11,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from ambrose.code.block.block import Block, ControlBlock
+from ambrose.code.block.scheduled import ScheduledBlock
+from ambrose.core.checks import invalid
 from ambrose.law.synchronous_block import SynchronousLaw
 
 # C's name of a number, and numpy's
@@ -84,6 +88,9 @@ class Interface:
         return {"step": "".join(given) + last, "track": f"{led}const {last}"}
 
 
+Base = ControlBlock | ScheduledBlock
+
+
 class Law(Protocol):
     """What a unit runs: a block, blocks beside it, a block of the axis along the shaft."""
 
@@ -93,6 +100,44 @@ class Law(Protocol):
     def beside(self) -> SynchronousLaw | None: ...
     @property
     def axial(self) -> ControlBlock | None: ...
+    def single(self) -> Law:
+        """With its tables in single precision."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AllAxes:
+    """What one unit of all axes runs: the radial law, and the block of the axis along the shaft,
+    with the same sample time and delay, under its own name. Raises InvalidInput for others.
+
+    The two are decoupled and judged apart, each on its own plant; they share the sample and the
+    processor. One step takes the errors of the radial axes, then the axial one, and gives the
+    currents in the same order. Each part keeps its own guards: a lost axial reading is held by the
+    axial part and never seen by the radial one.
+    """
+
+    radial: Law
+    axial: ControlBlock
+
+    @property
+    def base(self) -> Block:
+        return self.radial.base
+
+    @property
+    def beside(self) -> SynchronousLaw | None:
+        return self.radial.beside
+
+    def single(self) -> AllAxes:
+        """With the tables of both parts in single precision."""
+        return AllAxes(self.radial.single(), self.axial.single())
+
+    def __post_init__(self) -> None:
+        base, axial = self.radial.base, self.axial
+        if (base.sample_time, base.delay) != (axial.sample_time, axial.delay):
+            clock = f"{axial.sample_time:g} s, {axial.delay} late"
+            asked = f"that of the radial one, {base.sample_time:g} s, {base.delay} late"
+            raise invalid("the axial block's clock", clock, asked, "export both together")
+        if base.name == axial.name:
+            raise invalid("the axial block's name", axial.name, "its own", "export both together")
 
 
 def parts_of(law: Law) -> tuple[Block, ...]:

@@ -10,6 +10,7 @@ import io
 import math
 import re
 from collections.abc import Mapping, Sequence
+from functools import singledispatch
 from typing import Any, cast
 
 import numpy as np
@@ -56,34 +57,28 @@ def generate_mat(
             "no word of MATLAB or Octave",
             "give another --name",
         )
-    if isinstance(block, ScheduledBlock) or isinstance(deployment, ScheduledDeployment):
-        given = cast(ScheduledBlock, block), cast(ScheduledDeployment, deployment)
-        over = vectors_of(given[0])
-        struct = scheduled_content(*given, synthesis, provenance, over)
-        return {
-            f"{block.name}.mat": _bytes({block.name: struct}),
-            f"{block.name}_vectors.csv": as_csv(block, over),
-        }
-    run = vectors_of(block)
-    continuous, comments = deployment.source.dt is None, [as_comment(line) for line in provenance]
-    facts = {**block_facts(block), "provenance": comments, "continuous": continuous}
-    return {
-        f"{block.name}.mat": _bytes(
-            {block.name: content(block, deployment, synthesis, provenance, run)}
-        ),
-        f"{block.name}_load.m": render("load.m.j2", facts),
-        f"{block.name}_vectors.csv": as_csv(block, run),
+    run, comments = vectors_of(block), [as_comment(line) for line in provenance]
+    struct = content(block, deployment, synthesis, provenance, run)
+    facts = {"provenance": comments, "continuous": deployment.source.dt is None}
+    # the script is of one law
+    load = {} if block.told else {"_load.m": render("load.m.j2", block_facts(block) | facts)}
+    texts: dict[str, str | bytes] = {
+        ".mat": _bytes({block.name: struct}),
+        **load,
+        "_vectors.csv": as_csv(block, run),
     }
+    return {f"{block.name}{end}": text for end, text in texts.items()}
 
 
+@singledispatch
 def content(
-    block: ControlBlock,
-    deployment: Deployment,
+    block: ControlBlock | ScheduledBlock,
+    deployment: Any,
     synthesis: Synthesis,
     provenance: Sequence[str],
     run: Vectors,
 ) -> dict[str, Any]:
-    """The struct's fields."""
+    """The struct's fields, by the kind of block."""
     K, source = deployment.controller, deployment.source
     return {
         **_head(K, block),
@@ -97,21 +92,20 @@ def content(
         if source.dt is None
         else np.zeros(_NONE),
         "limits": {"error": _column(block.error_limit), "current": _column(block.current_limit)},
-        "block": _block(block),
+        "block": _block(cast(ControlBlock, block)),
         **_tail(deployment, synthesis, provenance, run),
     }
 
 
-def scheduled_content(
+@content.register
+def _(
     block: ScheduledBlock,
     deployment: ScheduledDeployment,
     synthesis: Synthesis,
     provenance: Sequence[str],
     run: Vectors,
 ) -> dict[str, Any]:
-    """The struct's fields of a schedule: A (n, n, k) and so on over the k values of
-    ``scheduling.grid``, linear in between.
-    """
+    # A (n, n, k) and so on over the k values of ``scheduling.grid``, linear in between
     K = deployment.sampled
     source = deployment.source
     along = block.along

@@ -3,7 +3,7 @@ written.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -20,8 +20,8 @@ from ambrose.code.block.scheduled import (
     supervise,
 )
 from ambrose.code.c.code import check_precision
-from ambrose.code.processor_build import PROCESSORS, unit_of
-from ambrose.code.processor_trial import Trial, check_room, check_trial, try_unit
+from ambrose.code.interface import AllAxes, Base, Law
+from ambrose.code.processor_trial import Trial
 from ambrose.code.sampled import (
     Deployment,
     Difference,
@@ -33,8 +33,7 @@ from ambrose.code.sampled import (
     unmet_limits,
     verdict,
 )
-from ambrose.code.synchronous import AllAxes, AnyLaw, Base, Law, RunUnit, in_order
-from ambrose.code.targets import TARGETS, C, Files, Fmu, Target
+from ambrose.code.targets import TARGETS, C, Target
 from ambrose.core.checks import (
     InvalidInput,
     UnstableSystem,
@@ -43,14 +42,13 @@ from ambrose.core.checks import (
     same_clock,
 )
 from ambrose.core.presentation import Presented, with_unit
+from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, rename
 from ambrose.judge.checks import Check, Checks
 from ambrose.judge.result import Synthesis, synthesis_of
-from ambrose.judge.synchronous import block_loops, check_block
-from ambrose.law.law import BOTH, LawLike, law_of
+from ambrose.law.law import BOTH, LawLike, extension, law_of
 from ambrose.law.loop import DEFAULT, Timing, check_side, match_axes, timing_of
 from ambrose.law.supervision import check_pair, supervision_limits
-from ambrose.law.synchronous import check_blocks, running_law, synchronous_loop
 from ambrose.machine.file.toml import bundled_machines, load_machine, machine_hash
 from ambrose.machine.machine import THRUST, Machine
 from ambrose.machine.ordinary_file import check_place, claimed, write_files
@@ -97,7 +95,6 @@ def provenance_lines(
 
 
 _DIVERGES = ("synchronous.margin", "synchronous.gain")
-_TOUCH = 0.95  # of the smallest touchdown gap: an error beyond it counts as contact
 
 
 def blocks_beside(
@@ -106,8 +103,7 @@ def blocks_beside(
     """The blocks of a controller, else of its machine. Raises InvalidInput where the target, or a
     missing machine, leaves no way to write them.
     """
-    settings = None if machine is None else machine.controller
-    blocks = synthesis.synchronous or (() if settings is None else settings.synchronous)
+    blocks = synthesis.synchronous if machine is None else synthesis.blocks_on(machine)
     if blocks:
         target.check_beside()
         if machine is None:
@@ -115,32 +111,8 @@ def blocks_beside(
                 "the synchronous blocks need the machine file for the signals they read; name it "
                 "(--machine my.toml)"
             )
-        check_blocks(blocks, machine)
-    return tuple(blocks)
-
-
-def judge_beside(
-    blocks: Sequence[Synchronous],
-    machine: Machine,
-    law: LawLike,
-    block: Base,
-    progress: Callable[[str], None],
-    *,
-    force: bool,
-) -> tuple[RunUnit, tuple[Checks, ...]]:
-    """The unit of a controller block and its synchronous blocks, and their checks with the law that
-    runs. Raises UnstableSystem for blocks that diverge, unless forced.
-    """
-    rate, delay = 1 / block.sample_time, block.delay
-    judged = tuple(
-        check_block(item, progress) for item in block_loops(machine, law, blocks, rate, delay)
-    )
-    if not force and (found := diverging(judged)):
-        raise UnstableSystem(f"{'; '.join(found)}; give another T, or force the export")
-    running = running_law(blocks, synchronous_loop(machine, law, rate, delay))
-    gaps = [bearing.touchdown_gap for bearing in machine.bearings if bearing.touchdown_gap]
-    contact = np.full(len(block.inputs), _TOUCH * min(gaps, default=np.inf))
-    return RunUnit(block, in_order(running, machine.axes, block), contact), judged
+        extension("refuse")(blocks, machine)
+    return blocks
 
 
 def diverging(judged: Sequence[Checks]) -> tuple[str, ...]:
@@ -169,41 +141,7 @@ def _said(check: Check) -> str:
     return f"{check.title} {value} (limit {check.relation} {limit:.4g}){detail}"
 
 
-# A delivery tried on its processor: what is refused before the verification, and the trial of what
-# was written.
-
-
-def check_processor(target: C, block: Callable[[], Base]) -> None:
-    """What can be refused of a trial before the loop is verified: options without a processor, a
-    compiler or emulator that is not there, and a controller whose code alone is too large. block:
-    makes it, unverified. Raises InvalidInput.
-    """
-    if target.try_on is None:
-        for name in ("clock", "flash", "ram"):
-            if getattr(target, name) is not None:
-                raise invalid(
-                    name, getattr(target, name), "left out", "it goes with try_on: name a processor"
-                )
-        return
-    processor, arithmetic = PROCESSORS[target.try_on], target.arithmetic
-    check_trial(processor, arithmetic)
-    if target.flash is not None or target.ram is not None:
-        check_room(unit_of(block(), arithmetic), processor, target.flash, target.ram)
-
-
-def try_target(target: C, law: AnyLaw, files: Files, progress: Callable[[str], None]) -> Trial:
-    """The files of a law, run on the target's processor. Raises InvalidInput."""
-    processor = PROCESSORS[target.try_on or ""]
-    texts = {name: text for name, text in files.items() if isinstance(text, str)}
-    unit = unit_of(law, target.arithmetic, texts)
-    check_room(unit, processor, target.flash, target.ram)
-    return try_unit(unit, processor, clock=target.clock, progress=progress)
-
-
 # How the axial controller is written beside the radial one, and what comes of it.
-
-
-_AXIAL = "_axial"  # what the axial part's name adds
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -220,11 +158,7 @@ def axial_target(target: Target, machine: Machine | None, timing: Timing | None)
     timing: the axial controller's own, None where it states none. Raises InvalidInput for a machine
     without a thrust bearing, and what is tried part by part.
     """
-    if isinstance(target, C) and (target.try_on is not None or target.bare_metal):
-        raise InvalidInput(
-            "a unit of all axes is not tried on a processor as a whole; export each controller by "
-            "itself with --try-on or --bare-metal (--axes radial, --axes thrust), then both without"
-        )
+    part = target.along_shaft()
     if machine is None or THRUST not in machine.groups:
         raise InvalidInput(
             "the machine has no thrust bearing; name its file with --machine, without #axial, or "
@@ -238,9 +172,7 @@ def axial_target(target: Target, machine: Machine | None, timing: Timing | None)
             f"sampled at the radial one's {rate:g} Hz",
             f"design it with --rate-hz {rate:g}: one processor runs both",
         )
-    part = replace(target, name=f"{target.name}{_AXIAL}", error_limit=None, current_limit=None)
-    # its sections are its own file's
-    return replace(part, form="modal") if isinstance(part, C) else part
+    return part
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -377,26 +309,20 @@ def export(
     along = None if axial is None else _along(axial, synthesis, target, machine)
     check_place(directory)  # all this before the verification, which takes seconds
     target.check_tools()
-    if isinstance(target, C):
-        check_processor(target, lambda: _unverified(synthesis, machine, target, limits))
+    target.check_trial(lambda: _unverified(synthesis, machine, target, limits))
     with claimed(directory, "folder"):
         deployment, block = _deploy(synthesis, machine, target, limits, progress, other is not None)
         lines, beside = provenance_lines(synthesis, deployment, machine), None
-        if (
-            isinstance(target, C)
-            and other is not None
-            and isinstance(block, ScheduledBlock)
-            and synthesis.scheduled is not None
-        ):
+        if other is not None:
             beside, waiting = _deploy_beside(
                 "the fallback", block, other, machine, target, limits, progress
             )
-            stuck = math.inf if target.stuck_after is None else target.stuck_after
-            band = target.pressure_error or 0.0
-            watch = supervision_limits(
-                synthesis.scheduled, machine, target.pressure_rate, band, stuck
-            )
-            block = supervise(block, waiting, watch)
+            # of a schedule over pressure and for C alone: anything else was refused
+            whole, schedule = cast(C, target), cast(ScheduledSystem, synthesis.scheduled)
+            stuck = math.inf if whole.stuck_after is None else whole.stuck_after
+            band = whole.pressure_error or 0.0
+            watch = supervision_limits(schedule, machine, whole.pressure_rate, band, stuck)
+            block = supervise(cast(ScheduledBlock, block), waiting, watch)
             lines = [*lines, "Fallback:", *provenance_lines(other, beside)]
         judged: tuple[Checks, ...] = ()
         law: Law = block
@@ -404,7 +330,9 @@ def export(
             runs = (
                 synthesis if isinstance(deployment, ScheduledDeployment) else deployment.controller
             )
-            law, judged = judge_beside(around, machine, runs, block, progress, force=target.force)
+            law, judged = extension("unit")(
+                around, machine, runs, block, progress, force=target.force
+            )
         part: AxialPart | None = None
         shaft: Sequence[str] = ()
         if along is not None and machine is not None:
@@ -430,10 +358,9 @@ def export(
                 not_alike = str(error)
             else:
                 files = {**files, **difference.files()}
-        trial = None
-        if isinstance(target, C) and target.try_on is not None:
-            trial = try_target(target, law, files, progress)
-            files = {**files, f"{block.name}_{target.try_on}.md": trial.report()}
+        trial = target.tried(law, files, progress)
+        if trial is not None:
+            files = {**files, f"{block.name}_{trial.processor.name}.md": trial.report()}
         progress("writing")
         paths = tuple(write_files(directory, files, held=True))
         return Delivery(
@@ -650,8 +577,7 @@ def _check_target(synthesis: Synthesis, target: Target) -> None:
             what,
         )
     if scheduled is not None and along is not None:
-        if isinstance(target, C | Fmu):
-            check_precision(target.arithmetic)
+        check_precision(target.arithmetic)
         if target.cascade:
             raise invalid(
                 "form",

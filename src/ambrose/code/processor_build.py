@@ -20,13 +20,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from ambrose.code.block.block import ControlBlock, render
+from ambrose.code.block.block import Block, ControlBlock, render
 from ambrose.code.block.fixed_point import in_words
-from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock
-from ambrose.code.c.code import Arithmetic, integer_table, literal, real_table
-from ambrose.code.c.synchronous import law_files
-from ambrose.code.interface import KINDS, TYPES, Interface, interface_of
-from ambrose.code.synchronous import AnyLaw
+from ambrose.code.c.code import Arithmetic, integer_table, law_files, literal, real_table
+from ambrose.code.interface import KINDS, TYPES, Interface, Law, interface_of
 from ambrose.core.checks import InvalidInput, invalid
 
 # The processors on which exported code can be tried: how each is compiled for, and what runs it.
@@ -239,14 +236,14 @@ class Unit:
     metre (m,) [m], ampere (p,) [A]: one count of an error and of a current.
     """
 
-    law: AnyLaw
+    law: Law
     arithmetic: Arithmetic
     files: Mapping[str, str]
     metre: np.ndarray
     ampere: np.ndarray
 
     @property
-    def base(self) -> ControlBlock | ScheduledBlock:
+    def base(self) -> Block:
         return self.law.base
 
     @property
@@ -312,7 +309,7 @@ class Unit:
 
 
 def unit_of(
-    law: AnyLaw, arithmetic: Arithmetic = "double", files: Mapping[str, str] | None = None
+    law: Law, arithmetic: Arithmetic = "double", files: Mapping[str, str] | None = None
 ) -> Unit:
     """The code of a law; files: its texts where they were written already. Raises InvalidInput, as
     ``generate`` does.
@@ -895,7 +892,7 @@ _DUE = ("as soon as they are known", "at the next sample")
 _NAMES = ("board.h", "main.c", "board_mps2.c", "mps2.ld")
 
 
-def bare_metal_files(law: AnyLaw, arithmetic: Arithmetic) -> dict[str, str]:
+def bare_metal_files(law: Law, arithmetic: Arithmetic) -> dict[str, str]:
     """The example's files by name: <name>_main.c, which knows no hardware, <name>_board.h, which
     says what it needs of it, and <name>_board_mps2.c and <name>_mps2.ld, a board of QEMU's.
     """
@@ -908,12 +905,9 @@ def bare_metal_files(law: AnyLaw, arithmetic: Arithmetic) -> dict[str, str]:
 
     # on the emulated board: errors within an eighth of their limit, what is told in mid range
     amplitude = unit.counts(base.error_limit / _SHARE, unit.metre)
-    told = []
-    if isinstance(base, ScheduledBlock):
-        for axis, one in zip(base.axes, base.along.each, strict=True):
-            told.append({"name": one.name, "value": number(float(np.mean(axis)))})
-    if isinstance(base, SupervisedBlock):  # no monitor beside it
-        told += [{"name": name, "value": number(-1.0)} for name in ("estimate", "half_width")]
+    means = [number(float(np.mean(axis))) for _, axis, *_ in base.over]
+    means += [number(-1.0)] * (len(base.told) - len(means))  # no monitor beside it
+    told = [{"name": name, "value": value} for name, value in zip(base.told, means, strict=True)]
     delay = base.delay
     arguments = "".join(f"from->{one.name}, " for one in unit.interface.arguments if one.given)
     call = f"{unit.step}(&controller, {arguments}current[k % SETS])"

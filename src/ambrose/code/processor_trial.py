@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from ambrose.code.block.block import render
-from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock
 from ambrose.code.c.compiled import COMPILERS, find_compiler
 from ambrose.code.processor_build import (
     WATCHED,
@@ -78,25 +77,23 @@ def stimulus(unit: Unit, count: int, seed: int = SEED) -> np.ndarray:
 
 
 def _told(unit: Unit, share: np.ndarray, rng: np.random.Generator) -> dict[str, Any]:
-    base = unit.base
-    if not isinstance(base, ScheduledBlock):
-        return {}
     columns: dict[str, Any] = {}
-    for i, (axis, one) in enumerate(zip(base.axes, base.along.each, strict=True)):
+    watch = unit.base.watch
+    for i, (one, axis, *_) in enumerate(unit.base.over):
         low, high = float(axis[0]), float(axis[-1])
         # two passes through the range, from a twentieth below it to a twentieth above
         turns = np.abs((share * (2 + i) * 2) % 2 - 1)
         value = low + (high - low) * (1.1 * turns - 0.05)
-        if isinstance(base, SupervisedBlock):
-            value += 0.01 * base.watch.noise * rng.normal(size=len(share))
+        if watch is not None:
+            value += 0.01 * watch.noise * rng.normal(size=len(share))
             value[int(0.35 * len(share))] += 0.5 * (high - low)
         value[(share > 0.88) & (share < 0.9)] = np.nan
         columns[one.name] = value
-    if isinstance(base, SupervisedBlock):
+    if watch is not None:
         pressure = next(iter(columns.values()))
-        columns["estimate"] = pressure + 0.1 * base.watch.band
+        columns["estimate"] = pressure + 0.1 * watch.band
         known = (share > 0.36) & (share < 0.7)
-        columns["half_width"] = np.where(known, 0.2 * base.watch.band, -1.0)
+        columns["half_width"] = np.where(known, 0.2 * watch.band, -1.0)
     return columns
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from ambrose.options import READING_ERROR, STUCK_AFTER, AsItRuns, hertz, option, positive
 
@@ -13,8 +13,9 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from ambrose.code.c.code import Arithmetic, Precision
-    from ambrose.code.sampled import Deployment, ScheduledDeployment
-    from ambrose.code.synchronous import AnyLaw
+    from ambrose.code.interface import Base, Law
+    from ambrose.code.processor_trial import Trial
+    from ambrose.code.sampled import Deployment, Progress, ScheduledDeployment
     from ambrose.core.sampling import Method
     from ambrose.judge.result import Synthesis
     from ambrose.law.law import Scheduling
@@ -104,7 +105,7 @@ class Target(AsItRuns, ABC):
     @abstractmethod
     def files(
         self,
-        law: AnyLaw,
+        law: Law,
         lines: Sequence[str],
         along: Sequence[str] = (),
         made: Made | None = None,
@@ -114,9 +115,31 @@ class Target(AsItRuns, ABC):
         """
 
     @property
+    def arithmetic(self) -> Arithmetic:
+        """Numbers of the code."""
+        return "double"
+
+    @property
     def cascade(self) -> bool:
         """Whether a filter bank is written section by section."""
         return False
+
+    def along_shaft(self) -> Self:
+        """How the axial controller is written beside the radial one: alike, under a name of its
+        own. Raises InvalidInput for what is tried part by part.
+        """
+        return replace(self, name=f"{self.name}_axial", error_limit=None, current_limit=None)
+
+    def check_trial(self, block: Callable[[], Base]) -> None:
+        """What can be refused of a trial before the loop is verified. block: makes it, unverified.
+        Raises InvalidInput.
+        """
+
+    def tried(self, law: Law, files: Files, progress: Progress) -> Trial | None:
+        """The files of a law, run on the target's processor; None: it is not tried. Raises
+        InvalidInput.
+        """
+        return None
 
     def check_tools(self) -> None:
         """Raises InvalidInput where what it is written with is not installed."""
@@ -203,14 +226,56 @@ class C(Target):
     def cascade(self) -> bool:
         return self.form == "cascade"
 
+    def along_shaft(self) -> Self:
+        from ambrose.core.checks import InvalidInput
+
+        if self.try_on is not None or self.bare_metal:
+            raise InvalidInput(
+                "a unit of all axes is not tried on a processor as a whole; export each controller "
+                "by itself with --try-on or --bare-metal (--axes radial, --axes thrust), then both "
+                "without"
+            )
+        # its sections are its own file's
+        return replace(super(C, self).along_shaft(), form="modal")
+
+    def check_trial(self, block: Callable[[], Base]) -> None:
+        """Options without a processor, a compiler or emulator that is not there, and a controller
+        whose code alone is too large.
+        """
+        from ambrose.code.processor_build import processor_named, unit_of
+        from ambrose.code.processor_trial import check_room, check_trial
+        from ambrose.core.checks import invalid
+
+        if self.try_on is None:
+            for name in ("clock", "flash", "ram"):
+                if (value := getattr(self, name)) is not None:
+                    remedy = "it goes with try_on: name a processor"
+                    raise invalid(name, value, "left out", remedy)
+            return
+        processor = processor_named(self.try_on)
+        check_trial(processor, self.arithmetic)
+        if self.flash is not None or self.ram is not None:
+            check_room(unit_of(block(), self.arithmetic), processor, self.flash, self.ram)
+
+    def tried(self, law: Law, files: Files, progress: Progress) -> Trial | None:
+        from ambrose.code.processor_build import processor_named, unit_of
+        from ambrose.code.processor_trial import check_room, try_unit
+
+        if self.try_on is None:
+            return None
+        texts = {name: text for name, text in files.items() if isinstance(text, str)}
+        unit, processor = unit_of(law, self.arithmetic, texts), processor_named(self.try_on)
+        check_room(unit, processor, self.flash, self.ram)
+        return try_unit(unit, processor, clock=self.clock, progress=progress)
+
     def files(
         self,
-        law: AnyLaw,
+        law: Law,
         lines: Sequence[str],
         along: Sequence[str] = (),
         made: Made | None = None,
     ) -> Files:
-        from ambrose.code.c.synchronous import law_files
+        from ambrose.code.c.code import law_files
         from ambrose.code.processor_build import bare_metal_files
 
         files = law_files(law, self.arithmetic, lines, along)
@@ -227,7 +292,7 @@ class Mat(Target):
 
     def files(
         self,
-        law: AnyLaw,
+        law: Law,
         lines: Sequence[str],
         along: Sequence[str] = (),
         made: Made | None = None,
@@ -258,7 +323,7 @@ class Fmu(Target):
 
     def files(
         self,
-        law: AnyLaw,
+        law: Law,
         lines: Sequence[str],
         along: Sequence[str] = (),
         made: Made | None = None,
@@ -279,7 +344,7 @@ class St(Target):
 
     def files(
         self,
-        law: AnyLaw,
+        law: Law,
         lines: Sequence[str],
         along: Sequence[str] = (),
         made: Made | None = None,

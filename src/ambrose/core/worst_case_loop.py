@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -102,7 +102,7 @@ def box_loop(system: Any, blocks: Sequence[Block], model: Chords | None = None) 
             "real parameters, at least one",
             "use mu_bounds for complex ones",
         )
-    real = tuple(block for block in blocks if isinstance(block, RealBlock))
+    real = cast(tuple[RealBlock, ...], tuple(blocks))
     owner = np.repeat(np.arange(len(real)), [block.repeat for block in real])
     if system.dt is not None or min(system.D.shape) < len(owner):
         raise invalid(

@@ -360,7 +360,7 @@ def identify(
         )
     whitening = _whitening(covariance)
     model = sampled_residual(plant, factors, paths, nominal, whitening)
-    estimate = _fit(plant, model, paths, nominal, begin, signals, how)
+    estimate = _fit(plant, model, whitening, paths, nominal, begin, signals, how)
     if error > _OTHER:
         what = (
             f"the controller given leaves {100 * error:.1f} % of the recorded currents unexplained"
@@ -417,6 +417,7 @@ def identify_injected(
     return _fit(
         plant,
         model,
+        np.eye(len(model.signals)),
         paths,
         nominal,
         begin,
@@ -428,6 +429,7 @@ def identify_injected(
 def _fit(
     plant: Plant,
     model: SampledResidual | LoopModel,
+    whitening: np.ndarray,
     paths: tuple[str, ...],
     nominal: np.ndarray,
     begin: np.ndarray,
@@ -435,11 +437,8 @@ def _fit(
     options: FitOptions,
 ) -> ParameterEstimate:
     """The least squares of output_error/closed_loop.py on S, with eps whitened and scaled to the
-    size 1.
+    size 1. whitening (p, p): of eps.
     """
-    whitening = (
-        model.whitening if isinstance(model, SampledResidual) else np.eye(len(model.signals))
-    )
     measured = [whitening @ record.select(model.signals).values for record in signals]
     size = max(float(np.sqrt(np.mean(eps**2))) for eps in measured)
     if size == 0:

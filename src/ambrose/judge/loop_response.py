@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import wraps
-from typing import TypeVar
+from functools import singledispatch, wraps
+from typing import TypeVar, cast
 
 import numpy as np
 
@@ -154,13 +154,19 @@ def loop_at(plant: Plant, controller: LawLike, omega: float) -> LoopResponse:
     return _parted(plant.axes, at, P, K)
 
 
-def solid_cores(plant: Plant) -> bool:
-    """Whether it is the axis along a shaft, with eddy currents in a core."""
+@singledispatch
+def solid_cores(plant: object) -> bool:
+    """Whether it is the axis along a shaft, with eddy currents in a core; no system alone is."""
+    return False
+
+
+@solid_cores.register
+def _(plant: Plant) -> bool:
     return any(name.startswith("core_") for name in plant.rotor.outputs)
 
 
 def half_order_share(
-    plant: Plant,
+    plant: Plant | StateSpace,
     controller: LawLike,
     rows: Rows = LoopResponse.output_sensitivity,
 ) -> tuple[float, str]:
@@ -173,6 +179,7 @@ def half_order_share(
     """
     if not solid_cores(plant):
         return 1.0, ""
+    plant = cast(Plant, plant)
     dt = match_controller(controller, plant).dt
     omega = np.geomspace(1.0, 2e5 if dt is None else 0.999 * np.pi / dt, 2000)
 

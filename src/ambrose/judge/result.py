@@ -32,7 +32,7 @@ from ambrose.core.statespace import (
     spectral_abscissa,
     static_gain,
 )
-from ambrose.judge.loop_response import LoopResponse, Rows, half_order_share
+from ambrose.judge.loop_response import LoopResponse, half_order_share
 from ambrose.judge.plants import judge_stability, loop_abscissa
 from ambrose.law.design_problem import Weights
 from ambrose.law.law import FixedLaw, Law, LawLike, ScheduledLaw, Scheduling, law_of
@@ -85,17 +85,12 @@ def certify(plant: Plant | StateSpace, controller: LawLike, margins: bool = True
         return Certificate(False, abscissa, float("inf"), fastest, {}, label)
     loop = continuous_equivalent(loop)  # margins and norms do not change under the bilinear map
 
-    def share(rows: Rows) -> tuple[float, str]:
-        if isinstance(plant, Plant):
-            return half_order_share(plant, controller, rows)
-        return 1.0, ""
-
-    factor, words = share(LoopResponse.output_sensitivity)
+    factor, words = half_order_share(plant, controller)
     peak = factor * float(hinf_norm(feedback(static_gain(identity), loop)).value)
     figures = {"sensitivity_peak": peak}
     label += words
     if margins:
-        factor, _ = share(LoopResponse.complementary)
+        factor, _ = half_order_share(plant, controller, LoopResponse.complementary)
         complementary = factor * float(hinf_norm(feedback(loop, static_gain(identity))).value)
         figures |= {"complementary_peak": complementary, **disk_margins(peak, complementary)}
     return Certificate(True, abscissa, peak, fastest, figures, label)

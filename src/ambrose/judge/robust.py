@@ -23,6 +23,7 @@ little more for hundreds of states.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -185,10 +186,10 @@ def _core_share(
     """``half_order_share`` at the point of the box where a gain was found."""
 
     def share(loop: BoxLoop, found: BoxGain) -> tuple[float, str]:
-        if not isinstance(plant, Plant) or not solid_cores(plant):
+        if not solid_cores(plant):
             return 1.0, ""
         (at,) = _points(loop, found)
-        return half_order_share(perturbed(plant, at, tolerances), controller)
+        return half_order_share(perturbed(cast(Plant, plant), at, tolerances), controller)
 
     return share
 

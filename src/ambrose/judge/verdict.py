@@ -43,7 +43,7 @@ from ambrose.judge.plants import (
 )
 from ambrose.judge.result import Certificate, certify
 from ambrose.law.design_problem import machine_weights
-from ambrose.law.law import SPEED, Law, LawLike, law_of
+from ambrose.law.law import SPEED, Law, LawLike, extension, law_of
 from ambrose.law.loop import (
     DEFAULT,
     STATE_RATE,
@@ -316,7 +316,8 @@ def verify_controller(
     """
     law, asked = law_of(controller), Verifying(**options)
     if not isinstance(machine, Machine):
-        return _verify_axes(machine, law, asked, points, measured, running, progress)
+        plants = (machine,) if isinstance(machine, Plant) else tuple(machine)
+        return _verify_axes(plants, None, law, asked, measured, running, progress)
     groups = laws_of(machine, law, asked.axial, asked.axes)
     (own, first), *others = groups.values()
     if points is None:
@@ -330,7 +331,8 @@ def verify_controller(
     for name, (group, other) in reversed(groups.items()):
         how = asked if group is own else replace(asked, **_ACROSS)
         by = ran.get(name, (group, None))[1] if lines[group.name] else None
-        one = _verify_axes(group, other, how, points, lines[group.name], by, progress)
+        whole, plants = group if points is None else None, _plants(group, points)
+        one = _verify_axes(plants, whole, other, how, lines[group.name], by, progress)
         found = one if found is None else one.with_thrust(found)
     assert found is not None
     wanted = machine.groups if asked.axes is None else {}
@@ -352,28 +354,27 @@ def _allotted(
         found.get(one.machine, found[groups[0].name]).append(one)
     for group in groups if len(groups) > 1 else ():
         if items := found[group.name]:
-            plants = full_plants(group) if points is None else [plant_at(group, p) for p in points]
-            placed(plants, items, None)
+            placed(_plants(group, points), items, None)
     return found
 
 
+def _plants(machine: Machine, points: Sequence[str | OperatingPoint] | None) -> tuple[Plant, ...]:
+    """The plants at these operating points; None: at all."""
+    return full_plants(machine) if points is None else tuple(plant_at(machine, p) for p in points)
+
+
 def _verify_axes(
-    machine: Machine | Plant | Sequence[Plant],
+    plants: tuple[Plant, ...],
+    whole: Machine | None,
     law: Law,
     asked: Verifying,
-    points: Sequence[str | OperatingPoint] | None,
     measured: Responses,
     running: LawLike | None,
     progress: Progress,
 ) -> Verification:
-    """``verify_controller`` of one group of axes and its law."""
-    whole = machine if points is None and isinstance(machine, Machine) else None
-    if not isinstance(machine, Machine):
-        plants = (machine,) if isinstance(machine, Plant) else tuple(machine)
-    elif points is None:
-        plants = full_plants(machine)
-    else:
-        plants = tuple(plant_at(machine, point) for point in points)
+    """``verify_controller`` of one group of axes and its law; whole: its machine, where all of its
+    operating points are judged.
+    """
     if not plants:
         raise InvalidInput(
             "no operating point is given; name one at least, or leave points out for all of the "
@@ -571,14 +572,11 @@ def verify_synchronous(
     Raises InvalidInput for blocks that do not fit the machine, or a controller scheduled over
     speed.
     """
-    settings = machine.controller
-    blocks = law.synchronous or (() if settings is None else settings.synchronous)
-    if not blocks:
+    if not (blocks := law.blocks_on(machine)):
         return ()
-    from ambrose.judge.synchronous import block_loops, check_block
-
-    items = block_loops(machine, law, blocks, asked.rate, asked.delay_samples)
-    return tuple(check_block(item, progress, speed_rate=asked.speed_rate) for item in items)
+    items = extension("loops")(machine, law, blocks, asked.rate, asked.delay_samples)
+    check = extension("check")
+    return tuple(check(item, progress, speed_rate=asked.speed_rate) for item in items)
 
 
 def verify_tolerances(

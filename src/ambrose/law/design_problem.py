@@ -23,6 +23,7 @@ same with the plant before it for disturbances of the current.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import singledispatch
 from typing import Any
 
 import numpy as np
@@ -336,38 +337,49 @@ def _weight(weight: StateSpace, scale: float, source: str, output: str) -> State
     return StateSpace(weight.A, weight.B, weight.C / scale, weight.D / scale, [source], [output])
 
 
+@singledispatch
 def open_model(
     plant: Plant | GeneralizedPlant, tolerances: Sequence[Tolerance] | None, uncertain: bool
 ) -> GeneralizedPlant:
     """The blocks' signals and u_<axis> -> the blocks' signals and y_<axis>; nothing else."""
-    if isinstance(plant, Plant):
-        u, y = list(plant.named("u")), list(plant.named("y"))
-        if not uncertain:
-            return GeneralizedPlant(plant.system, [], u, [], y)
-        model = uncertain_plant(plant, tolerances)
-    else:
-        model = plant
-        if tolerances is not None:
-            raise InvalidInput(
-                "tolerances were given for a generalized plant, which has its blocks already; "
-                "leave them out"
-            )
-        u = [name for name in model.system.inputs if name.startswith("u_")]
-        y = [f"y_{name.removeprefix('u_')}" for name in u]
-        if not u or not set(y) <= set(model.system.outputs):
-            known = ", ".join((*model.system.inputs, *model.system.outputs))
-            raise invalid(
-                "the plant's signals",
-                known,
-                "u_<axis> [A] and y_<axis> [m] among them",
-                "rename() its system",
-            )
-        if uncertain and not model.blocks:
-            raise InvalidInput(
-                "the generalized plant has no blocks; give it some, or ask for uncertain=False"
-            )
-        if not uncertain:
-            return GeneralizedPlant(model.system, [], u, [], y)
+    raise NotImplementedError
+
+
+@open_model.register
+def _(plant: Plant, tolerances: Sequence[Tolerance] | None, uncertain: bool) -> GeneralizedPlant:
+    u, y = list(plant.named("u")), list(plant.named("y"))
+    if not uncertain:
+        return GeneralizedPlant(plant.system, [], u, [], y)
+    return _opened(uncertain_plant(plant, tolerances), u, y)
+
+
+@open_model.register
+def _(
+    plant: GeneralizedPlant, tolerances: Sequence[Tolerance] | None, uncertain: bool
+) -> GeneralizedPlant:
+    if tolerances is not None:
+        raise InvalidInput(
+            "tolerances were given for a generalized plant, which has its blocks already; "
+            "leave them out"
+        )
+    u = [name for name in plant.system.inputs if name.startswith("u_")]
+    y = [f"y_{name.removeprefix('u_')}" for name in u]
+    if not u or not set(y) <= set(plant.system.outputs):
+        known = ", ".join((*plant.system.inputs, *plant.system.outputs))
+        raise invalid(
+            "the plant's signals",
+            known,
+            "u_<axis> [A] and y_<axis> [m] among them",
+            "rename() its system",
+        )
+    if uncertain and not plant.blocks:
+        raise InvalidInput(
+            "the generalized plant has no blocks; give it some, or ask for uncertain=False"
+        )
+    return _opened(plant, u, y) if uncertain else GeneralizedPlant(plant.system, [], u, [], y)
+
+
+def _opened(model: GeneralizedPlant, u: list[str], y: list[str]) -> GeneralizedPlant:
     w, z = model.w[: model.n_w_blocks], model.z[: model.n_z_blocks]
     return GeneralizedPlant(select(model.system, [*w, *u], [*z, *y]), w, u, z, y, model.blocks)
 

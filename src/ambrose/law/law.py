@@ -17,12 +17,14 @@ from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 
-from ambrose.core.checks import invalid
+from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.scheduled import AND, ScheduledSystem
 from ambrose.core.statespace import ControllerLike, StateSpace, as_statespace, is_system
 from ambrose.machine.description import OperatingPoint
+from ambrose.machine.machine import Machine
 from ambrose.machine.part import Synchronous
 from ambrose.model.plant import Plant
+from ambrose.registry import registered, resolve
 
 # A controller that exists as a running program: the rig hands it the errors of one sample and takes
 # its currents.
@@ -60,22 +62,14 @@ class ControlProgram(Protocol):
 class ScheduledProgram(ControlProgram, Protocol):
     """A program whose law changes with the speed [rad/s] or, where its attribute ``parameter`` says
     so, the pressure [Pa] or both ("speed and pressure", a tuple): it is told that before every
-    step; called with a value it returns its law there, frozen, as ``system`` is at the present.
+    step; called with a value it returns its law there, frozen, as ``system`` is at the present. One
+    that is made for a range has besides ``range``, its lowest and highest value; of several tuples.
     """
 
     def schedule(self, value: Any) -> None:
         """Speed or pressure of the next step; NaN: not known."""
 
     def __call__(self, value: Any) -> StateSpace: ...
-
-
-@runtime_checkable
-class Ranged(Protocol):
-    """What a scheduled program has besides that is made for a range."""
-
-    @property
-    def range(self) -> tuple[Any, Any]:
-        """Its lowest and highest value; of several tuples."""
 
 
 @runtime_checkable
@@ -102,16 +96,6 @@ class AllAxesProgram(ControlProgram, Protocol):
 
     @property
     def parts(self) -> tuple[StateSpace, StateSpace]: ...
-
-
-def entry_of(program: ControlProgram) -> tuple[int, int] | None:
-    """Address and first argument of a ``NativeProgram``; None for any other."""
-    return program.entry if isinstance(program, NativeProgram) else None
-
-
-def teller(program: ControlProgram) -> Callable[[Any], None] | None:
-    """What a ``ScheduledProgram`` is told its speed or pressure by; None for any other."""
-    return program.schedule if isinstance(program, ScheduledProgram) else None
 
 
 # What a controller can be scheduled over: quantities of the operating point, by the names that the
@@ -269,6 +253,11 @@ class Law(ABC):
         """The blocks beside it that act at the speed of rotation; most laws have none."""
         return ()
 
+    def blocks_on(self, machine: Machine) -> tuple[Synchronous, ...]:
+        """The blocks beside it on a machine: its own, else those of the machine file."""
+        settings = machine.controller
+        return self.synchronous or (() if settings is None else settings.synchronous)
+
     @property
     def thrust(self) -> Law | None:
         """The law of the thrust axis beside it, of one that holds both groups of axes."""
@@ -282,6 +271,13 @@ class Law(ABC):
     @property
     def program(self) -> ControlProgram | None:
         """The program that runs it; None: it runs by its matrices."""
+        return None
+
+    @property
+    def all_axes(self) -> AllAxesProgram | None:
+        """The program of the radial axes and of the one along the shaft; None: it is no such
+        law.
+        """
         return None
 
     @property
@@ -332,6 +328,19 @@ class Law(ABC):
             return point
         low, high = (float(np.atleast_1d(end)[-1]) for end in self.range)  # the pressure is last
         return replace(point, seal_pressure=min(max(point.seal_pressure, low), high))
+
+
+def extension(verb: str) -> Any:
+    """What is registered to be done with the blocks beside a law: "request", "design", "refuse",
+    "loops", "check", "doubts", "program" or "unit". Raises InvalidInput where nothing is.
+    """
+    place = registered("beside").get(verb)
+    if place is None:
+        raise InvalidInput(
+            "blocks beside a controller need ambrose.annexes.synchronous, which this installation "
+            "lacks; leave them out"
+        )
+    return resolve(place)
 
 
 # speed [rad/s], or what its attribute ``parameter`` says, -> the law there
@@ -437,6 +446,10 @@ class ProgramLaw(Law):
         return self.running
 
     @property
+    def all_axes(self) -> AllAxesProgram | None:
+        return cast(AllAxesProgram, self.running) if hasattr(self.running, "parts") else None
+
+    @property
     def range(self) -> tuple[Any, Any] | None:
         return self.span
 
@@ -483,4 +496,4 @@ def _program_law(program: ControlProgram) -> ProgramLaw:
     if not callable(program):
         return ProgramLaw(program)
     along = scheduling_named(getattr(program, "parameter", SPEED.name))
-    return ProgramLaw(program, along, program.range if isinstance(program, Ranged) else None)
+    return ProgramLaw(program, along, getattr(program, "range", None))

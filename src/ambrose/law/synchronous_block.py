@@ -1,7 +1,7 @@
 """A synchronous block as it runs, sample by sample: angle from one pulse per turn, state machine,
 amplitudes.
 
-The generated C code does the same in the same order (code/c/synchronous.py). Per sample:
+The generated C code does the same in the same order (its extension's block_code.py). Per sample:
 
 1. angle: between pulses theta = W tau + W' tau^2/2, tau the time since the pulse, W and W' from the
    last two periods; a pulse sets it to zero. Without one for 1.5 turns the key phasor is lost;

@@ -658,7 +658,7 @@ class CoastDown(Part):
 #
 # The amplitudes a of the block turn with the rotor: a' = (2/time_constant) T exp(-j theta) z, c =
 # Re(exp(j theta) a) is added to what the controller measures; z is what the mode drives to zero
-# (law/synchronous.py). T over speed is a table of matrices, "phase only" one angle per speed, or,
+# (block_loop.py). T over speed is a table of matrices, "phase only" one angle per speed, or,
 # where neither is given, one.
 
 

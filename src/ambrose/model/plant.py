@@ -93,6 +93,33 @@ def sensor_turn(machine: Machine) -> np.ndarray:
     return np.asarray(block_diag(*turned)) if turned else np.eye(len(machine.axes))
 
 
+def at_bearings(machine: Machine) -> np.ndarray:
+    """(a, a) real: displacements at the bearings of a stiff rotor from those measured, both along
+    the axes.
+
+    Between and beyond the sensors by a straight line; with one bearing, or sensors in one plane, as
+    measured.
+    """
+    turned = sensor_turn(machine)
+    place = np.array([port.position for port in measured_ports(machine)[0::2]])
+    target = np.array([bearing.position for bearing in machine.bearings])
+    angle = np.array([bearing.angle for bearing in machine.bearings])
+    if len(place) < 2 or np.ptp(place) == 0:
+        return turned
+    # least-squares line through the sensors, read at the bearings, in the common directions x, y
+    line = np.column_stack([target, np.ones_like(target)]) @ np.linalg.pinv(
+        np.column_stack([place, np.ones_like(place)])
+    )
+    result = np.zeros((2 * len(place), 2 * len(place)))
+
+    # pair s, along the axes of bearing s, into the axes of bearing b: turned by their difference
+    for b in range(len(target)):
+        for s in range(len(place)):
+            c, d = np.cos(angle[s] - angle[b]), np.sin(angle[s] - angle[b])
+            result[2 * b : 2 * b + 2, 2 * s : 2 * s + 2] = line[b, s] * np.array([[c, -d], [d, c]])
+    return result @ turned
+
+
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Plant(Presented):
     """Amplifiers, rotor, attachments and sensors at ``point``.

@@ -606,8 +606,7 @@ def record_page(
     extremes of every thousandth of the time, so no peak is lost. Raises InvalidInput where the
     record holds no displacements.
     """
-    trace = source if isinstance(source, Trace) else None
-    record = source.record if isinstance(source, Trace) else source
+    trace, record = (source, source.record) if isinstance(source, Trace) else (None, source)
     places, speed = stations(record, machine), rotor_speed(record, scenario)
     label = record.point.label or "record"
     along = not machine.lateral

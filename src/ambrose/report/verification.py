@@ -242,7 +242,7 @@ def synchronous_figure(blocks: Sequence[Checks]) -> Any:
     """One panel each for current, force, orbit, sensitivity and margin over speed; a piece of each
     line for every block.
 
-    blocks: the checks of ``judge.synchronous.check_block`` that have curves.
+    blocks: the checks of each block that have curves.
     """
     rows = [
         (name, title)
@@ -348,7 +348,7 @@ _WORDS = (
 
 
 def synchronous_section(blocks: Sequence[Checks]) -> Section:
-    """A section for any page. blocks: the checks of ``judge.synchronous.check_block``."""
+    """A section for any page. blocks: the checks of each."""
     with_curves = [block for block in blocks if block.curves]
     figures: tuple[Figure, ...] = ()
     if with_curves:

@@ -52,8 +52,8 @@ def parts_of(law: Law, axial: LawLike | None) -> Parts | None:
     """What controls all axes; None where that is a controller of the radial axes alone. Raises
     InvalidInput for two controllers of the thrust axis.
     """
-    program = law.program
-    if isinstance(program, AllAxesProgram):
+    program = law.all_axes
+    if program is not None:
         if axial is not None:
             raise InvalidInput(
                 "this program has the axis along the shaft, too; leave the axial controller out"

@@ -34,7 +34,7 @@ from ambrose.law.law import PRESSURE, SPEED, Scheduling
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.ordinary_file import NUMBERS
 from ambrose.record.record import Record, signal_dimension
-from ambrose.rig.scenario import Chirp, Disturbance, Failure, Prbs, Pulse, Scenario, Unbalance
+from ambrose.rig.scenario import Chirp, Disturbance, Failure, Prbs, Scenario, Unbalance
 from ambrose.rig.trace import Trace
 
 # A scenario's disturbances as cubics between the samples: exact for pulses, to (w dt)^4/384 for all
@@ -79,7 +79,7 @@ def waveforms(
     for item in scenario.all_windows:
         row(item.signal)
     for pulse in scenario.pulses:
-        for start, stop, _ in _windows(pulse, dt, first, k):
+        for start, stop, _ in _windows(pulse, dt, first, k, pulse.every):
             row(pulse.signal)[0, start:stop] += pulse.amplitude
     for prbs in scenario.sequences:
         for start, stop, offset in _windows(prbs, dt, first, k):
@@ -144,18 +144,16 @@ def directions(port: str, inputs: Sequence[str]) -> tuple[str, str]:
     )
 
 
-def _windows(item: Disturbance, dt: float, first: int, k: int) -> Iterator[tuple[int, int, int]]:
+def _windows(
+    item: Disturbance, dt: float, first: int, k: int, period: float | None = None
+) -> Iterator[tuple[int, int, int]]:
     """First and past-the-last column of a disturbance and of its repetitions, and how long it then
     has been on [samples].
     """
     what = f"of the disturbance on {item.signal}"
     begin, end = sample_of(item.start, dt), first + k
     length = end if item.duration is None else samples_in(item.duration, dt, f"the duration {what}")
-    every = (
-        samples_in(item.every, dt, f"the period {what}")
-        if isinstance(item, Pulse) and item.every is not None
-        else 0
-    )
+    every = 0 if period is None else samples_in(period, dt, f"the period {what}")
 
     # from the last repetition that begins at or before this piece
     if every and begin < first:

@@ -168,6 +168,10 @@ class Prbs:
         length = 2**self.order - 1
         return round(self.seed * 0.6180339887498949 * length) % length
 
+    def among(self, number: int, count: int) -> Prbs:
+        """The one at a bearing, of so many."""
+        return replace(self, seed=self.seed + _SEEDS * number)
+
 
 @dataclass(frozen=True, slots=True)
 class Unbalance:
@@ -195,6 +199,12 @@ class Unbalance:
                 f"the unbalance at {self.port} needs either amount, or grade and grade_speed; "
                 "give one of the two"
             )
+
+    def among(self, number: int, count: int) -> Unbalance:
+        """The part at a bearing, of so many."""
+        if self.amount is not None:
+            return replace(self, amount=self.amount / count)
+        return replace(self, share=self.share / count)
 
     def mass_times_radius(self, mass: float | None) -> float:
         """The amount [kg m]; ``mass`` of the rotor [kg] is needed for a grade. Raises
@@ -365,21 +375,6 @@ def check_disturbance(item: Disturbance, end: float) -> None:
         )
     if item.duration is not None:
         check_positive(item.duration, f"the duration on {item.signal}", "give it in seconds")
-    if (
-        isinstance(item, Pulse)
-        and item.every is not None
-        and (item.duration is None or not item.duration <= item.every)
-    ):
-        raise invalid(
-            f"every of the pulse on {item.signal}",
-            item.every,
-            "at least its duration",
-            "lengthen it",
-        )
-    if isinstance(item, Sine):
-        check_positive(
-            item.frequency, f"the frequency of the sine on {item.signal}", "give it in rad/s"
-        )
 
 
 LEVITATED = "levitated"
@@ -427,6 +422,14 @@ class Scenario(Presented):
             check_positive(self.sample_time, "sample_time", "give it in seconds")
         for item in self.all_windows:
             check_disturbance(item, self.duration)
+        for pulse in self.pulses:
+            every, duration = pulse.every, pulse.duration
+            if every is not None and (duration is None or not duration <= every):
+                what = f"every of the pulse on {pulse.signal}"
+                raise invalid(what, every, "at least its duration", "lengthen it")
+        for sine in self.all_sines:
+            what = f"the frequency of the sine on {sine.signal}"
+            check_positive(sine.frequency, what, "give it in rad/s")
         starts = [("the time of a change of pressure", item.time) for item in self.pressures]
         starts += [("the time of a failure", item.time) for item in self.failures]
         starts += [
@@ -988,17 +991,9 @@ def _at(item: Any, bearings: Sequence[str]) -> Iterator[Any]:
         yield item
         return
     chosen = {"first": bearings[:1], "last": bearings[-1:], "every": bearings}[word]
+    among = getattr(item, "among", lambda number, count: item)
     for number, name in enumerate(chosen):
-        changes: dict[str, Any] = {}
-        if isinstance(item, Unbalance):
-            changes = (
-                {"amount": item.amount / len(chosen)}
-                if item.amount is not None
-                else {"share": item.share / len(chosen)}
-            )
-        elif isinstance(item, Prbs):
-            changes = {"seed": item.seed + _SEEDS * number}
-        yield replace(item, **{key: f"{before}{name}{after}"}, **changes)
+        yield replace(among(number, len(chosen)), **{key: f"{before}{name}{after}"})
 
 
 def along_shaft(items: Sequence[Any], axis: str) -> tuple[Any, ...]:

@@ -26,10 +26,10 @@ from ambrose.judge.verdict import verify_points, verify_ranges, verify_tolerance
 from ambrose.law.law import (
     PRESSURE,
     SPEED,
-    AllAxesProgram,
     Law,
     LawLike,
     Scheduling,
+    extension,
     law_of,
 )
 from ambrose.law.loop import (
@@ -45,6 +45,7 @@ from ambrose.law.loop import (
 from ambrose.law.supervision import check_pair, supervised, supervision_limits
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
+from ambrose.machine.part import Synchronous
 from ambrose.model.assemble import assemble, bending_modes_of, judged_bending
 from ambrose.model.effects.rotor import mass_properties
 from ambrose.model.plant import Plant, beyond_top_speed
@@ -55,7 +56,6 @@ from ambrose.rig import all_axes, linear, virtual_rig
 from ambrose.rig.engine.controller import sample_time
 from ambrose.rig.engine.state import RIG_MODES
 from ambrose.rig.scenario import Scenario, load_scenario
-from ambrose.rig.synchronous import beside_law, blocks_of
 from ambrose.rig.trace import Trace
 
 ALL_MODES = 10**6  # of the linear loop
@@ -103,8 +103,7 @@ def simulate_scenario(
     names = ("bending_modes", "seed", "path", "every", "dt", "computing_delay")
     rig = {name: getattr(asked, name) for name in names}
     law, along = law_of(controller), thrust if asked.axial is None else asked.axial
-    plant = machine if isinstance(machine, Plant) else None
-    described = machine.machine if isinstance(machine, Plant) else machine
+    plant, described = (machine, machine.machine) if isinstance(machine, Plant) else (None, machine)
     events = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     alone = ""
     if plant is None:
@@ -112,7 +111,7 @@ def simulate_scenario(
         along = others[0][1] if others else None
         if asked.axes is None and len(described.groups) > 1:
             alone = _why_alone(described, law, along, events, asked)
-    if alone and (asked.axial is not None or isinstance(law.program, AllAxesProgram)):
+    if alone and (asked.axial is not None or law.all_axes is not None):
         raise InvalidInput(f"all axes do not run together: {alone}; leave it or the axial law out")
     parts = all_axes.parts_of(law, None if alone else along)
     if parts is None:
@@ -132,20 +131,25 @@ def _why_alone(
     """Why the radial axes run without the thrust axis, whose law is ``along``; "" where all axes
     run together.
     """
-    laws, whole = [law, *([] if along is None else [law_of(along)])], law.program
+    laws = [law, *([] if along is None else [law_of(along)])]
     second = asked.second or asked.fallback
     reasons = {
         "the linear model is of one group of axes": asked.linear,
         "a second controller is of one": second is not None or events.switch_at is not None,
     }
-    if not isinstance(whole, AllAxesProgram):
+    if law.all_axes is None:
         reasons |= {
             "no controller of the thrust axis is known": along is None,
             "a scheduled controller is of one group": any(one.scheduled_over for one in laws),
-            "synchronous blocks are of one group": bool(blocks_of(machine, law)),
+            "synchronous blocks are of one group": bool(_blocks(machine, law)),
             "a program is of one group": any(one.program is not None for one in laws),
         }
     return next((words for words, holds in reasons.items() if holds), "")
+
+
+def _blocks(machine: Machine, law: Law) -> tuple[Synchronous, ...]:
+    """The blocks that run beside a law; none beside a program of its own."""
+    return () if law.program is not None else law.blocks_on(machine)
 
 
 def _one_group(
@@ -164,7 +168,7 @@ def _one_group(
     across = () if described.lateral else events.across
     events, where = events.on(described), chosen_point(described, point)
     timing = timing_of(described, law, asked.rate, asked.delay_samples)
-    blocks = blocks_of(described, law)
+    blocks = _blocks(described, law)
     if blocks and (asked.linear or fallback is not None or asked.second is not None):
         raise invalid(
             "the simulation of a controller with synchronous blocks",
@@ -190,9 +194,9 @@ def _one_group(
         begin = start or described.operation.nominal
         if events.speed is None:  # the key phasor's
             events = replace(events, speed=begin.speed)
-        beside = beside_law(described, law, blocks, events, begin, timing or DEFAULT)
-        trace = virtual_rig.run(described, beside, events, point=start, progress=progress, **rig)
-        return replace(trace, text=f"{trace.text}; {beside.words()}")
+        both = extension("program")(described, law, blocks, events, begin, timing or DEFAULT)
+        trace = virtual_rig.run(described, both, events, point=start, progress=progress, **rig)
+        return replace(trace, text=f"{trace.text}; {both.words()}")
     if fallback is not None:
         described.across_the_shaft("no law along it follows a pressure", "leave the fallback out")
     if fallback is None:

@@ -49,7 +49,7 @@ from ambrose.model.uncertainty import reduce_from
 from ambrose.options import choose, settings
 from ambrose.registry import registered
 from ambrose.synthesis.fixed_order.channels import lateness
-from ambrose.synthesis.methods import Lowered, Method, methods
+from ambrose.synthesis.methods import Method, methods
 from ambrose.synthesis.order_selection import reduce_order
 
 # Why a controller does not hold a machine, or none was found: cause and remedy in one sentence.
@@ -491,9 +491,9 @@ def design(
         raise
     modes = getattr(chosen, "bending_modes", None) or 0
     modes = int(result.certificate.margins.get("bending_modes", modes))
-    if isinstance(chosen, Lowered) and chosen.loss is not None and timing is not None:
+    if (loss := getattr(chosen, "loss", None)) is not None and timing is not None:
         progress("lowering the order")
-        result = reduce_order(plant, result, chosen.loss, timing, modes, progress)
+        result = reduce_order(plant, result, loss, timing, modes, progress)
     result = certify_as_it_runs(plant, result, timing)
     result = certify_envelope(envelope_of(plant), result, timing)
     envelope = getattr(chosen, "envelope", None)

@@ -20,12 +20,12 @@ from ambrose.annexes.rotordynamics import analysis as block_on
 from ambrose.annexes.rotordynamics.analysis import with_blocks
 from ambrose.annexes.rotordynamics.loop import shaft_loop
 from ambrose.annexes.rotordynamics.result import Item
+from ambrose.annexes.synchronous.block_loop import BlockTable, block_of
 from ambrose.judge.controller_file import read_controller, write_controller
 from ambrose.judge.result import Synthesis
 from ambrose.law.law import law_of
 from ambrose.law.loop import timing_of
 from ambrose.law.pid import pid_controller
-from ambrose.law.synchronous import BlockTable, block_of
 from ambrose.machine.file.toml import loads_machine
 from own_rotor import Magnet, OwnRotor, written
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from ambrose.annexes.synchronous.block_code import generate_run
 from ambrose.code.c.code import generate, literal
-from ambrose.code.c.synchronous import generate_run
 from ambrose.core.checks import InvalidInput
 from example_blocks import rig_block
 from needs import needs

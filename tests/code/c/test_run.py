@@ -11,15 +11,14 @@ import pytest
 from benchmarks.compiled_synchronous import CompiledRun
 
 from ambrose import StateSpace, load_machine
+from ambrose.annexes.synchronous.block_code import RunUnit, generate_run, in_order, run_unit
 from ambrose.code.block.block import build_block
 from ambrose.code.block.cascade import build_cascade
 from ambrose.code.block.fixed_point import in_words
 from ambrose.code.block.run import run_of
 from ambrose.code.block.scheduled import supervise
 from ambrose.code.c.compiled import find_compiler
-from ambrose.code.c.synchronous import generate_run
 from ambrose.code.sampled import deploy
-from ambrose.code.synchronous import RunUnit, in_order, run_unit
 from ambrose.core.checks import InvalidInput
 from ambrose.law.pid import pid_controller
 from ambrose.law.supervision import Limits

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from benchmarks.compiled_synchronous import CompiledSynchronous
 
-from ambrose.code.c.synchronous import (
+from ambrose.annexes.synchronous.block_code import (
     generate_synchronous,
 )
 from ambrose.core.checks import InvalidInput

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from benchmarks.compiled_synchronous import CompiledWords
 
+from ambrose.annexes.synchronous.block_code import generate_words, table_found
 from ambrose.code.block.synchronous_twin import ONE, SynchronousTwin, to_words
 from ambrose.code.c.compiled import find_compiler
-from ambrose.code.c.synchronous import generate_words, table_found
 from ambrose.core.checks import InvalidInput
 from ambrose.law.synchronous_block import (
     BlockFault,

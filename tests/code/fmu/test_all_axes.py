@@ -13,8 +13,8 @@ from ambrose import StateSpace
 from ambrose.code.block.block import build_block
 from ambrose.code.block.run import run_of
 from ambrose.code.fmu import axial_flags, references, variables
+from ambrose.code.interface import AllAxes
 from ambrose.code.sampled import deploy
-from ambrose.code.synchronous import AllAxes
 from fmu_player import Player
 from needs import needs
 

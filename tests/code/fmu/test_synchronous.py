@@ -7,10 +7,11 @@ import pytest
 from fmpy.validation import validate_fmu
 
 from ambrose import StateSpace
+from ambrose.annexes.synchronous.block_code import RunUnit, run_unit
 from ambrose.code.block.block import build_block
 from ambrose.code.fmu import FAULTS, generate_fmu
+from ambrose.code.interface import AllAxes
 from ambrose.code.sampled import deploy
-from ambrose.code.synchronous import AllAxes, RunUnit, run_unit
 from ambrose.law.synchronous_block import BlockLaw, SynchronousLaw
 from fmu_player import Player
 from needs import needs

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -43,11 +44,9 @@ from ambrose.judge.checks import Check, Checks
 from ambrose.judge.nominal import check_sensitivity
 from ambrose.judge.plants import Progress, judge_stability
 from ambrose.judge.result import Synthesis
-from ambrose.judge.synchronous import VANISHED, BlockLoop, block_loops, check_block
 from ambrose.judge.unbalance import orbit, together
-from ambrose.law.law import Law, LawLike, law_of
+from ambrose.law.law import Law, LawLike, extension, law_of
 from ambrose.law.loop import Timing, running_law, timing_of
-from ambrose.law.synchronous import at_bearings
 from ambrose.machine.criteria import SENSITIVITY, SENSITIVITY_RANGE
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
@@ -56,7 +55,7 @@ from ambrose.machine.parameters import operating_point
 from ambrose.model.assemble import assemble
 from ambrose.model.effect import speed_knots
 from ambrose.model.effects.stations import JournalBearing, Stage, rated_cross_coupling
-from ambrose.model.plant import holds_only
+from ambrose.model.plant import at_bearings, holds_only
 from ambrose.model.static_load import magnet_coefficients, running_range
 from ambrose.model.uncertainty import perturbed
 from ambrose.report.page import page_of, write
@@ -345,7 +344,7 @@ def _decrement(loop: ShaftLoop, row: ModeRow) -> float | None:
 # what ``ambrose verify`` says of the block.
 #
 # The block adds c to the error, u = -K (y - c), and once it has converged c = D z, or z = 0 where
-# it does not leak (law/synchronous.py). With the states under the forces and c, both linear,
+# it does not leak. With the states under the forces and c, both linear,
 #
 #     x = T(s)^-1 (f + B (I + K D_p)^-1 K c),    z = z_f + Z c,
 #     c = -Z^-1 z_f,    of a block that leaks    c = (I - D Z)^-1 D z_f.
@@ -369,12 +368,10 @@ def with_blocks(
     sampled: rate [Hz] and delay [samples] as stated; off: the response without blocks; speeds
     [rad/s]: running range and trip; scale: of the clearances; through: see ``respond``.
     """
-    settings = machine.controller
-    blocks = law.synchronous or (() if settings is None else settings.synchronous)
-    if not blocks:
+    if not (blocks := law.blocks_on(machine)):
         return
     try:
-        items = block_loops(machine, law, blocks, *sampled)
+        items = extension("loops")(machine, law, blocks, *sampled)
     except InvalidInput as error:
         yield _undone("synchronous", f"synchronous blocks: {error}")
         return
@@ -404,9 +401,9 @@ def _undone(name: str, why: str) -> Item:
     )
 
 
-def _judged(item: BlockLoop, words: str, progress: Callable[[str], None]) -> Iterator[Item]:
+def _judged(item: Any, words: str, progress: Callable[[str], None]) -> Iterator[Item]:
     """What verify says of the block: convergence, gain, sensitivity with it on."""
-    checks = check_block(item, progress)
+    checks = extension("check")(item, progress)
     if not checks.stable:
         yield _undone("stability", f"{item.label}: {' '.join(checks.notes)}")
     for check in checks.checks:
@@ -426,7 +423,7 @@ def _judged(item: BlockLoop, words: str, progress: Callable[[str], None]) -> Ite
 
 
 def _unbalance(
-    item: BlockLoop,
+    item: Any,
     off: UnbalanceResponse,
     loop_at: Callable[[float], ShaftLoop],
     speeds: tuple[float, float, float],
@@ -483,7 +480,7 @@ def _capacity(loop: ShaftLoop, response: UnbalanceResponse, words: str) -> Item:
     )
 
 
-def _solve(item: BlockLoop) -> Solve:
+def _solve(item: Any) -> Solve:
     """States and currents with the block converged."""
 
     def solve(loop: ShaftLoop, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -511,7 +508,7 @@ def _solve(item: BlockLoop) -> Solve:
             D = item.gain(loop.point.speed)
             c = np.linalg.solve(np.eye(len(D)) - D @ Z, D @ z_f)
         i = i_f + i_c @ c
-        return x_f + x_c @ c, np.where(np.abs(i) <= VANISHED * np.abs(i_f), 0.0, i)
+        return x_f + x_c @ c, np.where(np.abs(i) <= item.vanished * np.abs(i_f), 0.0, i)
 
     return solve
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from math import comb
+from typing import cast
 
 import numpy as np
 import scipy.linalg as sla
@@ -432,7 +433,6 @@ def check_speed(
                 if moving.dt is not None:
                     raise
                 family, off, beside = _late(plant, span, moving, lag, peaks)
-                assert isinstance(family, _Family)
                 proof = _proof(family, slope, tell)
         else:
             proof, beside = _proof(family, slope, tell), ""
@@ -510,7 +510,7 @@ def _chosen(
 
 def _late(
     plant: Plant, span: SpeedSpan, law: MovingLaw, lag: float, peaks: np.ndarray
-) -> tuple[_Family | SampledFamily, float, str]:
+) -> tuple[_Family, float, str]:
     """The continuous model with the mean delay, by how much it is raised, and words for that; peaks
     of the loop as it runs.
     """
@@ -521,7 +521,7 @@ def _late(
         if better < 0
         else f"up to {better:.1%} below the loop as it runs, by which it is raised"
     )
-    return family, (1 + off) * max(1.0, 1 + better) - 1, words
+    return cast(_Family, family), (1 + off) * max(1.0, 1 + better) - 1, words
 
 
 def _peak(loop: StateSpace, speed: float) -> float:

@@ -368,18 +368,17 @@ def retune(
             "record, give the controller without them, and add them to the new one "
             "(synthesize --synchronous --base)"
         )
-    measured, names = _read(records)
-    timing = _timing(given, running, measured)
+    read, responses, names = _read(records)
+    timing = _timing(given, running, read, responses)
     folder = Path(directory)
     with claimed(folder, "folder"):
         make_folder(folder)
         wanted = as_several(unknown)
         began = _begun(folder, given, running, names, (*wanted, f"{bending_modes} modes"))
-        responses = tuple(item for item in measured if isinstance(item, Response))
         chain = _Chain(given, running, timing, folder, progress, began, [], {}, responses)
         fit = {"unknown": unknown, "bending_modes": bending_modes}
         files = tuple(name for name, _ in names)
-        _identified(chain, measured, files, fit, changed=changed)
+        _identified(chain, read, files, fit, changed=changed)
         if chain.steps[-1].passed is not False and _needed(chain, anyway):
             _changed(chain)
         if chain.steps[-1].passed is not False and as_several(accept_from):
@@ -389,30 +388,35 @@ def retune(
 
 def _read(
     records: Records,
-) -> tuple[tuple[Record | Response, ...], tuple[tuple[str, str], ...]]:
-    """The records, or responses, each with its name and SHA-256."""
+) -> tuple[tuple[Record, ...], tuple[Response, ...], tuple[tuple[str, str], ...]]:
+    """The records, or the responses, and of each its name and SHA-256."""
     several = as_several(records)
     if not several:
         raise InvalidInput("no record was given; record the machine running, with an excitation")
-    read: tuple[Record | Response, ...] = as_responses(several) or tuple(map(read_record, several))
-    names = []
-    for number, (item, record) in enumerate(zip(several, read, strict=True), 1):
-        if isinstance(record, Response):
-            name, digest = digest_of(record, number)
-        else:
-            name = f"record {number}"
-            digest = hashlib.sha256(np.ascontiguousarray(record.values).tobytes()).hexdigest()
-        names.append((Path(item).name if isinstance(item, str | Path) else name, digest))
-    return read, tuple(names)
+    responses = as_responses(several)
+    read = () if responses else tuple(map(read_record, several))
+    found = [digest_of(response, number) for number, response in enumerate(responses, 1)]
+    for number, record in enumerate(read, 1):
+        digest = hashlib.sha256(np.ascontiguousarray(record.values).tobytes()).hexdigest()
+        found.append((f"record {number}", digest))
+    names = tuple(
+        (Path(item).name if isinstance(item, str | Path) else name, digest)
+        for item, (name, digest) in zip(several, found, strict=True)
+    )
+    return read, responses, names
 
 
-def _timing(machine: Machine, running: Synthesis, records: Sequence[Record | Response]) -> Timing:
+def _timing(
+    machine: Machine,
+    running: Synthesis,
+    records: Sequence[Record],
+    responses: Sequence[Response],
+) -> Timing:
     """When the running controller acts; the rate of the records where nothing else says one.
     Raises InvalidInput where it is another than the records'.
     """
-    stated = [one.sample_rate_hz for one in records if isinstance(one, Response)]
-    timing = timing_of(machine, running, stated[0] if stated else None)
-    if timing is None and isinstance(records[0], Record):
+    timing = timing_of(machine, running, responses[0].sample_rate_hz if responses else None)
+    if timing is None and records:
         timing = Timing(records[0].dt, 1, "the record's rate")
     if timing is None:
         raise InvalidInput(
@@ -420,9 +424,8 @@ def _timing(machine: Machine, running: Synthesis, records: Sequence[Record | Res
             "or sample_time in [controller] of the machine file"
         )
     for number, record in enumerate(records, 1):
-        if isinstance(record, Record):
-            check_machine(machine, record, f"record {number}")
-            check_clock(record.dt, timing, f"record {number}")
+        check_machine(machine, record, f"record {number}")
+        check_clock(record.dt, timing, f"record {number}")
     return timing
 
 
@@ -460,7 +463,7 @@ _UNSEEN = (
 
 def _identified(
     chain: _Chain,
-    records: Sequence[Record | Response],
+    records: Sequence[Record],
     names: tuple[str, ...],
     fit: dict[str, Any],
     *,
@@ -471,7 +474,7 @@ def _identified(
     delay = chain.timing.delay_samples
     done = identify(
         chain.given,
-        list(records),
+        list(records or chain.responses),
         chain.running,
         computing_delay=delay,
         provenance=origin,
@@ -489,8 +492,7 @@ def _identified(
     if left and all(item in known for item in left):
         doubts += "; where the machine is known to have changed so, go on with --changed"
     commands = {f"u_{axis}" for axis in chain.given.axes}
-    told = [record.signals for record in records if isinstance(record, Record)]
-    if doubts and told and not any(commands & set(signals) for signals in told):
+    if doubts and records and not any(commands & set(record.signals) for record in records):
         doubts += f"; {_UNSEEN}"
     count = len(done.result.paths)
     beyond = "".join(f"; as is known: {finding}" for finding in known)

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from ambrose.code.sampled import Deployment
 from ambrose.core.checks import (
+    InvalidInput,
     NumericalFailure,
     UnstableSystem,
     check_finite,
@@ -26,6 +27,8 @@ from ambrose.core.checks import (
 from ambrose.core.frequency import peak_gains
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
+from ambrose.law.law import Scheduling
+from ambrose.law.supervision import Limits
 from ambrose.law.synchronous_block import SynchronousLaw
 
 # Fills the templates of generated files (templates/*.j2).
@@ -206,7 +209,6 @@ class Block:
     windup_time: float
 
     number: ClassVar[Any] = float  # of its errors, currents and states
-    supervised: ClassVar[bool] = False  # whether a fixed law takes over from it
 
     @property
     def n_states(self) -> int:
@@ -236,9 +238,31 @@ class Block:
         """What a cascade has besides: mixings, channels and orders."""
         return {}
 
+    @property
+    def over(self) -> tuple[tuple[Scheduling, np.ndarray, float, float], ...]:
+        """What its law changes with: each with its grid, the largest magnitude that is plausible,
+        and the largest rate of the schedule [per s] (inf: none).
+        """
+        return ()
+
+    @property
+    def alone(self) -> tuple[tuple[Scheduling, np.ndarray, float, float], ...]:
+        """``over`` where that is one at most. Raises InvalidInput for two."""
+        if len(self.over) > 1:
+            raise InvalidInput(
+                "this takes a block scheduled over one parameter; one over speed and pressure is "
+                "written as C"
+            )
+        return self.over
+
+    @property
+    def watch(self) -> Limits | None:
+        """What a reading has to keep to, where a fixed law takes over; None: none does."""
+        return None
+
     def middle(self) -> tuple[float, ...]:
         """What a step is told in the middle of its ranges."""
-        return ()
+        return tuple(float(axis[0] + axis[-1]) / 2 for _, axis, *_ in self.over)
 
     def in_charge(self, status: int) -> bool:
         """Whether the law that was proved acts, by the status of a step."""
@@ -247,7 +271,7 @@ class Block:
     @property
     def told(self) -> tuple[str, ...]:
         """What a step is told besides the errors."""
-        return ()
+        return tuple(one.name for one, *_ in self.over)
 
     @property
     def base(self) -> Self:

@@ -20,9 +20,9 @@ its values, which is examined (block/scheduled.py).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import combinations
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
 import scipy.linalg as sla
@@ -47,7 +47,6 @@ from ambrose.code.block.block import (
 )
 from ambrose.code.sampled import ScheduledDeployment
 from ambrose.core.checks import (
-    InvalidInput,
     NumericalFailure,
     UnstableSystem,
     check_positive,
@@ -327,8 +326,8 @@ class ScheduledBlock(Block):
     in all; steady (k, n, m) [1/m]: where fast states stand for a constant error, pick (k, n, p)
     [1/A]: states for a current, applied ``passes`` times in a transfer (0: none). told_limits: of
     each parameter, a larger magnitude is implausible; rate_limits [per s]: of the schedule (inf:
-    none); motion: what is proved while it moves. grid, told_limit, rate_limit, told_step: of the
-    one parameter, where there is no other.
+    none); motion: what is proved while it moves. grid, told_limit, rate_limit: of the one
+    parameter, where there is no other.
     """
 
     axes: tuple[np.ndarray, ...]
@@ -342,8 +341,9 @@ class ScheduledBlock(Block):
     along: Scheduling = SPEED
 
     @property
-    def told(self) -> tuple[str, ...]:
-        return tuple(one.name for one in self.along.each)
+    def over(self) -> tuple[tuple[Scheduling, np.ndarray, float, float], ...]:
+        columns = (self.along.each, self.axes, self.told_limits, self.rate_limits)
+        return tuple(zip(*columns, strict=True))
 
     @property
     def transfers(self) -> bool:
@@ -358,8 +358,12 @@ class ScheduledBlock(Block):
         """How many states wind up: all."""
         return self.n_states
 
-    def middle(self) -> tuple[float, ...]:
-        return tuple(float(axis[0] + axis[-1]) / 2 for axis in self.axes)
+    def said(self) -> dict[str, Any]:
+        """What the templates ask of its form; nr, nq: ranks of what changes between grid points in
+        the states and in the outputs.
+        """
+        nr, nq = self.changes.ranks
+        return {"ng": len(self.B), "passes": self.passes, "nr": nr, "nq": nq}
 
     def tables(self) -> dict[str, np.ndarray]:
         """The numbers of the code, as they lie in memory."""
@@ -406,19 +410,15 @@ class ScheduledBlock(Block):
 
     @property
     def grid(self) -> np.ndarray:
-        return _only(self.axes)
+        return self.alone[0][1]
 
     @property
     def told_limit(self) -> float:
-        return _only(self.told_limits)
+        return self.alone[0][2]
 
     @property
     def rate_limit(self) -> float:
-        return _only(self.rate_limits)
-
-    @property
-    def told_step(self) -> float:
-        return _only(self.told_steps)
+        return self.alone[0][3]
 
     @property
     def range(self) -> tuple[Any, Any]:
@@ -448,7 +448,7 @@ class ScheduledBlock(Block):
         """Where the law is taken for what a step is told: where that is nothing, which is no error
         of a supervised block, at the lowest value.
         """
-        return self.range[0] if self.supervised and np.isnan(told) else told
+        return self.range[0] if self.watch and np.isnan(told) else told
 
     def single(self) -> Self:
         """The block with limits and grid that single precision holds. Raises InvalidInput where
@@ -472,16 +472,6 @@ class ScheduledBlock(Block):
             rate_limits=rates,
             changes=self.changes.single(),
         )
-
-
-def _only(items: tuple[Any, ...]) -> Any:
-    """What there is one of. Raises InvalidInput for two."""
-    if len(items) > 1:
-        raise InvalidInput(
-            "this takes a block scheduled over one parameter; one over speed and pressure is "
-            "written as C"
-        )
-    return items[0]
 
 
 def build_scheduled_block(
@@ -760,10 +750,8 @@ class SupervisedBlock(ScheduledBlock):
     to.
     """
 
-    supervised: ClassVar[bool] = True
-
     fallback: ControlBlock
-    watch: Limits
+    watch: Limits = field()
 
     @property
     def told(self) -> tuple[str, ...]:

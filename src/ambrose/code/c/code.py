@@ -39,7 +39,7 @@ from ambrose.code.block.fixed_point import (
 )
 from ambrose.code.block.run import FLOOR, Vectors, as_csv, vectors_of
 from ambrose.code.block.scheduled import ScheduledBlock, SupervisedBlock
-from ambrose.code.interface import KINDS, TYPES, interface_of
+from ambrose.code.interface import KINDS, TYPES, AllAxes, Law, interface_of
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.scheduled import grid_points
 from ambrose.law.supervision import Fault, State
@@ -382,6 +382,13 @@ def _(block: ScheduledBlock, arithmetic: str, largest_error: float = LARGEST_ERR
     return Parts("scheduled", "scheduled", facts, tables, report, run, tolerance)
 
 
+@parts_in.register
+def _(block: SupervisedBlock, arithmetic: str, largest_error: float = LARGEST_ERROR) -> Parts:
+    parts = parts_in.dispatch(ScheduledBlock)(block, arithmetic)
+    parts.facts["supervised"] = supervision_facts(block, arithmetic, real_table(arithmetic))
+    return parts
+
+
 def tolerance_in(arithmetic: str, block: Block, single: np.ndarray) -> np.ndarray:
     """How far code in floating point may be from the vectors (p,) [A]; single: in single
     precision.
@@ -395,7 +402,7 @@ def code_types(arithmetic: str) -> dict[str, str]:
     return {"real": word, "word": word, "uchar": "u1", "int32_t": "i4"}
 
 
-def scheduled_tolerance(block: ScheduledBlock, run: Vectors, arithmetic: str) -> np.ndarray:
+def scheduled_tolerance(block: Block, run: Vectors, arithmetic: str) -> np.ndarray:
     """How far code may be from the vectors (p,) [A]."""
     single = np.maximum(_SINGLE_TOLERANCE * block.current_limit, 4 * run.rounding)
     return tolerance_in(arithmetic, block, single)
@@ -523,17 +530,15 @@ def _schedule_facts(block: ScheduledBlock, arithmetic: str) -> dict[str, Any]:
             f"For any motion of the {along.name}: within +-{farthest:.3g} (proved, conservative)."
         )
     return {
+        **block.said(),
         "one": literal(1.0, arithmetic),
-        "ng": len(block.B),
         "axes": _axes(block, arithmetic),
         "over": along.name,
         "corners": list(range(2 ** len(block.axes))),
         "low_padding": padding[0],
         "padded": block.n_states + sum(padding),
         "motion_text": motion_text,
-        "passes": block.passes,
-        "supervised": isinstance(block, SupervisedBlock)
-        and supervision_facts(block, arithmetic, real_table(arithmetic)),
+        "supervised": False,
     }
 
 
@@ -541,14 +546,8 @@ def _axes(block: ScheduledBlock, arithmetic: str) -> list[dict[str, Any]]:
     """What the templates say of every parameter; ``suffix``: of its own fields in the block, where
     there are two.
     """
-    rows = []
-    table, limits = (
-        real_table(arithmetic),
-        zip(block.told_limits, block.rate_limits, block.told_steps, strict=True),
-    )
-    for i, (axis, one, (limit, rate, step)) in enumerate(
-        zip(block.axes, block.along.each, limits, strict=True)
-    ):
+    rows, table = [], real_table(arithmetic)
+    for i, (one, axis, limit, rate) in enumerate(block.over):
         low = float(axis[0])
         high = float(axis[-1])
         limited = bool(np.isfinite(rate))
@@ -571,7 +570,7 @@ def _axes(block: ScheduledBlock, arithmetic: str) -> list[dict[str, Any]]:
                 "told_limit": literal(limit, arithmetic),
                 "plausible": f"{limit:.6g}",
                 "rate_limit": f"{rate:.9g}" if limited else "",
-                "told_step": literal(step, arithmetic) if limited else "",
+                "told_step": literal(rate * block.sample_time, arithmetic) if limited else "",
                 "rate_text": f" The schedule follows at {rate:.6g} {one.rate_unit} at most."
                 if limited
                 else "",
@@ -606,16 +605,12 @@ def _tables(
 
 
 def _scheduled_tables(block: ScheduledBlock, arithmetic: str) -> dict[str, Any]:
-    """The tables of a schedule over its grid; nr, nq: ranks of what changes between grid points in
-    the states and in the outputs.
-    """
-    tables, (nr, nq) = _tables(block, real_table(arithmetic)), block.changes.ranks
+    """The tables of a schedule over its grid."""
+    tables, nr = _tables(block, real_table(arithmetic)), block.changes.ranks[0]
     law = {name: tables[name] for name in ("B", "C", "D", "diagonals")}
     return {
         **tables,
         "law": {**law, "suffix": "", "varies": True, "nx": block.n_states, "nr": nr},
-        "nr": nr,
-        "nq": nq,
         "floor": literal(FLOOR[arithmetic], arithmetic),
     }
 
@@ -705,3 +700,70 @@ def _scheduled_report(block: ScheduledBlock, run: Vectors) -> dict[str, Any]:
             }
         )
     return {"outputs": _output_rows(block, run.rounding), "points": points}
+
+
+# The radial controller and the axial one as one C function of all axes.
+
+
+_ROWS = 500  # samples of the self-test
+_SIDES = ("INPUTS", "OUTPUTS")
+
+
+@singledispatch
+def law_files(
+    law: Law, arithmetic: Arithmetic, provenance: Sequence[str] = (), along: Sequence[str] = ()
+) -> dict[str, str]:
+    """The files of a unit by name, whatever it runs. along: the provenance of the part along the
+    shaft. Raises InvalidInput.
+    """
+    raise NotImplementedError
+
+
+@law_files.register
+def _(
+    law: Block, arithmetic: Arithmetic, provenance: Sequence[str] = (), along: Sequence[str] = ()
+) -> dict[str, str]:
+    return generate(law, arithmetic, provenance)
+
+
+@law_files.register
+def _(
+    law: AllAxes, arithmetic: Arithmetic, provenance: Sequence[str] = (), along: Sequence[str] = ()
+) -> dict[str, str]:
+    # <name>_axes.h, .c and _axes_test.c stand on the files of both parts
+    radial, axial = law.radial, law.axial
+    own, face = interface_of(radial, arithmetic), interface_of(law, arithmetic)
+    base = radial.base
+    fixed = arithmetic.startswith("fixed")
+    zero, sizes = "0" if fixed else literal(0.0, arithmetic), f"{base.name.upper()}_AXES"
+    # where nothing was told, no pulse came
+    still = {"pulse": f"{zero} - 1", "flags": "0u"} | dict.fromkeys(base.told, zero)
+    limits = [*base.error_limit.tolist(), *axial.error_limit.tolist()]
+    scales = ["0.125" if fixed else literal(limit / 8, "double") for limit in limits]
+    facts = {
+        "name": base.name,
+        "prefix": base.name.upper(),
+        "header": f"{own.name}.h",
+        "unit": own.memory,
+        "init": f"{own.name}_init",
+        "axial": axial.name,
+        "axial_prefix": axial.name.upper(),
+        "sample_time": f"{base.sample_time:.9g}",
+        "inputs": [*base.inputs, *axial.inputs],
+        "outputs": [*base.outputs, *axial.outputs],
+        "declared": face.declared(f"{base.name}_real", *(f"{sizes}_{n}" for n in _SIDES)),
+        "names": ", ".join(one.name for one in face.arguments),
+        "called": ", ".join(still.get(one.name, one.name) for one in face.arguments[:-1]),
+        "step_name": f"{own.name}_step",
+        "sources": " ".join(face.sources),
+        "rows": _ROWS,
+        "fixed": fixed,
+        # an eighth of every error's limit, the self-test's amplitude: in counts, or in metres
+        "scales": f"{{{', '.join(scales)}}}",
+    }
+    ends = ("axes.h", "axes.c", "axes_test.c")
+    return {
+        **law_files(radial, arithmetic, provenance),
+        **generate(axial, arithmetic, along),
+        **{f"{base.name}_{end}": render(f"{end}.j2", facts) for end in ends},
+    }

@@ -27,10 +27,8 @@ import numpy as np
 from ambrose.code.block.block import REASON_AT, Block, ControlBlock
 from ambrose.code.block.fixed_point import in_words
 from ambrose.code.block.scheduled import ScheduledBlock
-from ambrose.code.c.code import WORDS, Arithmetic, Precision
-from ambrose.code.c.synchronous import law_files
-from ambrose.code.interface import KINDS, TYPES, Interface, Law, interface_of, parts_of
-from ambrose.code.synchronous import AllAxes
+from ambrose.code.c.code import WORDS, Arithmetic, Precision, law_files
+from ambrose.code.interface import KINDS, TYPES, AllAxes, Interface, Law, interface_of, parts_of
 from ambrose.core.checks import InvalidInput, check_shape, invalid
 from ambrose.core.statespace import StateSpace, append
 from ambrose.law.supervision import Fault
@@ -509,7 +507,7 @@ class CompiledSchedule(_CompiledBlock[ScheduledBlock]):
     @property
     def fault(self) -> Fault:
         """Of a supervised block: why the last reading is not trusted."""
-        return Fault(self.status >> REASON_AT & 7 if self.block.supervised else 0)
+        return Fault(self.status >> REASON_AT & 7 if self.block.watch else 0)
 
     def schedule(self, value: Any) -> None:
         """Speed [rad/s] or pressure [Pa] of the next step, or both; NaN: not known."""
@@ -570,8 +568,8 @@ def read_law(code: CompiledBlock | CompiledSchedule, at: Any = None) -> StateSpa
     rounding of its words included. Raises InvalidInput where a current stays limited, or the
     schedule clamped, however small the step.
     """
-    if isinstance(code, CompiledSchedule) and at is not None:
-        code.schedule(at)
+    if at is not None:
+        cast(CompiledSchedule, code).schedule(at)
     block = code.block
     n, m = block.n_states, len(block.inputs)
     columns = [_response(code, state, np.zeros(m)) for state in np.diag(block.state_range)]

@@ -204,6 +204,25 @@ class Expected:
     K: np.ndarray
     amplifier: np.ndarray
 
+    def shares(
+        self,
+        true: Mapping[str, np.ndarray],
+        excited: np.ndarray,
+        noise: Mapping[str, np.ndarray],
+    ) -> dict[str, np.ndarray]:
+        """{relation: the share of it that is unexplained (n, a)} of the signals that there are."""
+        unexplained: dict[str, np.ndarray] = {}
+        if "y" in true:
+            unexplained["y"] = _share(true["y"], self.y @ excited, noise["y"])
+        if "u" in true:
+            unexplained["u"] = _share(true["u"], self.u @ excited, noise["u"])
+            if "y" in true:
+                unexplained["K"] = _share(true["u"], -self.K @ true["y"], 0 * noise["u"])
+        if "i" in true:
+            command = (true["u"] if "u" in true else self.u @ excited) + excited
+            unexplained["i"] = _share(true["i"], self.amplifier @ command, noise["i"])
+        return unexplained
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenLoop:
@@ -219,6 +238,19 @@ class OpenLoop:
         if "u" in values:
             return values["u"] + excited
         return np.linalg.solve(self.amplifier, values["i"])
+
+    def shares(
+        self,
+        true: Mapping[str, np.ndarray],
+        excited: np.ndarray,
+        noise: Mapping[str, np.ndarray],
+    ) -> dict[str, np.ndarray]:
+        """As of ``Expected``."""
+        command = self.command(true, excited)
+        unexplained = {"y": _share(true["y"], self.G @ command, noise["y"])}
+        if {"u", "i"} <= set(true):
+            unexplained["i"] = _share(true["i"], self.amplifier @ command, noise["i"])
+        return unexplained
 
 
 def open_loop_responses(plant: Plant, dt: float, omega: np.ndarray) -> OpenLoop:
@@ -279,23 +311,7 @@ def _shares(
         of: row @ np.abs(channels) if of == kind else row[None]
         for of, row in measured.noise.items()
     }
-    unexplained: dict[str, np.ndarray] = {}
-    if isinstance(expected, OpenLoop):
-        command = expected.command(true, excited)
-        unexplained["y"] = _share(true["y"], expected.G @ command, noise["y"])
-        if {"u", "i"} <= set(true):
-            unexplained["i"] = _share(true["i"], expected.amplifier @ command, noise["i"])
-        return unexplained
-    if "y" in true:
-        unexplained["y"] = _share(true["y"], expected.y @ excited, noise["y"])
-    if "u" in true:
-        unexplained["u"] = _share(true["u"], expected.u @ excited, noise["u"])
-        if "y" in true:
-            unexplained["K"] = _share(true["u"], -expected.K @ true["y"], 0 * noise["u"])
-    if "i" in true:
-        command = (true["u"] if "u" in true else expected.u @ excited) + excited
-        unexplained["i"] = _share(true["i"], expected.amplifier @ command, noise["i"])
-    return unexplained
+    return expected.shares(true, excited, noise)
 
 
 def _share(measured: np.ndarray, model: np.ndarray, noise: np.ndarray) -> np.ndarray:

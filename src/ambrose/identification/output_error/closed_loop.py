@@ -260,7 +260,7 @@ class LeastSquares:
 
         def linearise(theta: np.ndarray) -> Linearised:
             loops = self.loops(theta)
-            parts = tuple(self.equations(*loops[_task(item).place], item) for item in items)
+            parts = tuple(self.equations(*loops[item.place], item) for item in items)
             H = np.sum([part.equations.H for part in parts], axis=0)
             statistics.check_visible(experiment.paths, H, experiment.scale)
             g = np.sum([part.equations.g for part in parts], axis=0)
@@ -295,10 +295,6 @@ class LeastSquares:
         ):  # the part does not show every parameter; all of it may
             return None
         return minimum if minimum.converged else None
-
-
-def _task(item: Task | Lines) -> Task:
-    return item.task if isinstance(item, Lines) else item
 
 
 def fit_samples(experiment: Experiment, begin: np.ndarray) -> ParameterEstimate:

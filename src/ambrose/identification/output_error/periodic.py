@@ -50,6 +50,11 @@ class Lines:
     task: Task
 
     @property
+    def place(self) -> int:
+        """Which of several models made the record."""
+        return self.task.place
+
+    @property
     def weight(self) -> float:
         """By which squares at the lines are those of all samples (Parseval)."""
         return 2.0 * self.periods / self.length

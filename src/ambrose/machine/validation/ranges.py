@@ -8,7 +8,7 @@ doubted.
 import tomllib
 from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass, fields
-from functools import lru_cache
+from functools import lru_cache, singledispatch
 from importlib.resources import files
 from math import log
 from typing import Any
@@ -113,51 +113,72 @@ def numbers_of(machine: MachineDescription, among: Container[str] | None = None)
         if among is not None and item.name not in among:
             continue
         value, key = getattr(machine, item.name), item.metadata.get("key", item.name)
-        if key == "effects":
-            for table, parts in by_table(value).items():
-                yield from _listed(parts, table, "", seen)
-        elif isinstance(value, Part):
-            yield from _entries(value, key, "", seen)
-        elif isinstance(value, tuple) and value and isinstance(value[0], Part):
-            yield from _listed(value, key, "", seen)
+        for path, held in by_table(value).items() if key == "effects" else ((key, value),):
+            yield from _entries(held, path, "", seen)
     yield from _own(machine, "machine", "[machine]")
 
 
-def _listed(parts: Any, path: str, where: str, seen: set[int]) -> Iterator[Entry]:
-    for i, part in enumerate(parts):
-        names = {key: getattr(part, key, None) for key in ("name", "label", "bearing", "parameter")}
-        heading = f"[[{path}]] {called(names, path.rpartition('.')[2], i + 1)}"
-        yield from _entries(part, path, f"{where}, {heading}" if where else heading, seen)
-
-
-def _entries(part: Part, path: str, above: str, seen: set[int]) -> Iterator[Entry]:
-    """The numeric keys of a part and of all below it; a material that sections share once.
+@singledispatch
+def _entries(value: Any, path: str, above: str, seen: set[int]) -> Iterator[Entry]:
+    """The numeric keys of the parts that a key holds, and of all below them; a material that
+    sections share once.
 
     above: the entry in double brackets that the part is or is in, "" for none.
     """
-    where = above if above.rpartition("[[")[2].startswith(f"{path}]]") else _joined(above, path)
-    if isinstance(part, SealTable):
-        known = [item for item in (*part.axes, *part.values) if item[0] in _SEAL_TABLE]
-        for key, values in known:  # one that is unknown is named by the table itself
-            yield Entry(where, f"{path}.{key}", _SEAL_TABLE[key], _flat(values))
-        return
-    yield from _own(part, path, where)
-    if isinstance(part, Tolerance):
-        yield from _widths(part, path, where)
+    yield from ()
+
+
+@_entries.register
+def _(value: tuple | list, path: str, above: str, seen: set[int]) -> Iterator[Entry]:
+    for i, part in enumerate(value if value and isinstance(value[0], Part) else ()):
+        names = {key: getattr(part, key, None) for key in ("name", "label", "bearing", "parameter")}
+        heading = f"[[{path}]] {called(names, path.rpartition('.')[2], i + 1)}"
+        yield from _entries(part, path, f"{above}, {heading}" if above else heading, seen)
+
+
+@_entries.register
+def _of_part(part: Part, path: str, above: str, seen: set[int]) -> Iterator[Entry]:
+    yield from _own(part, path, _place(path, above))
     for item in fields(part):  # type: ignore[arg-type]  # every Part is a dataclass
-        value, key = getattr(part, item.name), item.metadata.get("key", item.name)
-        below = f"{path}.{key}"
-        if isinstance(value, Material):
-            if id(value) not in seen:
-                seen.add(id(value))
-                yield from _own(value, "material", f"[material.{value.name}]")
-        elif isinstance(value, Part):
-            yield from _entries(value, below, above, seen)
-        elif isinstance(value, tuple) and value and isinstance(value[0], Part):
-            yield from _listed(value, below, above, seen)
+        below = f"{path}.{item.metadata.get('key', item.name)}"
+        yield from _entries(getattr(part, item.name), below, above, seen)
 
 
-def _joined(above: str, path: str) -> str:
+@_entries.register
+def _(part: SealTable, path: str, above: str, seen: set[int]) -> Iterator[Entry]:
+    known = [item for item in (*part.axes, *part.values) if item[0] in _SEAL_TABLE]
+    for key, values in known:  # one that is unknown is named by the table itself
+        yield Entry(_place(path, above), f"{path}.{key}", _SEAL_TABLE[key], _flat(values))
+
+
+@_entries.register
+def _(part: Material, path: str, above: str, seen: set[int]) -> Iterator[Entry]:
+    if id(part) not in seen:
+        seen.add(id(part))
+        yield from _own(part, "material", f"[material.{part.name}]")
+
+
+@_entries.register
+def _(part: Tolerance, path: str, above: str, seen: set[int]) -> Iterator[Entry]:
+    yield from _of_part(part, path, above, seen)
+    try:
+        parameter = parse_parameter(part.parameter)
+    except InvalidInput:
+        return  # the path itself is refused
+    held = f"{parameter.table}.{parameter.quantity}"
+    held = _HELD_IN.get(held, held)
+    for key, of, dimension in (
+        ("relative", f"width.{held}", "ratio"),
+        ("absolute", held, parameter.dimension),
+    ):
+        if (value := getattr(part, key)) is not None:
+            yield Entry(_place(path, above), f"{path}.{key}", dimension, (value,), of)
+
+
+def _place(path: str, above: str) -> str:
+    """Where a part stands in words."""
+    if above.rpartition("[[")[2].startswith(f"{path}]]"):
+        return above
     return f"{above}, [{path}]" if above else f"[{path}]"
 
 
@@ -180,19 +201,6 @@ def _numeric(part: type) -> tuple[tuple[str, str, str], ...]:
             dimension = COUNT if kind is None else kind.dimension
             found.append((item.name, item.metadata.get("key", item.name), dimension))
     return tuple(found)
-
-
-def _widths(part: Tolerance, path: str, where: str) -> Iterator[Entry]:
-    try:
-        parameter = parse_parameter(part.parameter)
-    except InvalidInput:
-        return  # the path itself is refused
-    held = f"{parameter.table}.{parameter.quantity}"
-    held = _HELD_IN.get(held, held)
-    if part.relative is not None:
-        yield Entry(where, f"{path}.relative", "ratio", (part.relative,), f"width.{held}")
-    if part.absolute is not None:
-        yield Entry(where, f"{path}.absolute", parameter.dimension, (part.absolute,), held)
 
 
 def _flat(value: Any) -> tuple[float, ...]:

@@ -14,7 +14,7 @@ from ambrose.core.aliasing import continuous_poles
 from ambrose.core.checks import check_positive, invalid, same_clock
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import StateSpace
-from ambrose.law.law import SPEED, ControlProgram, LawLike, entry_of, law_of, teller
+from ambrose.law.law import SPEED, ControlProgram, LawLike, law_of
 from ambrose.law.loop import DEFAULT, axis_order, machine_timing, match_axes
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
@@ -136,7 +136,7 @@ class RunningProgram:
 
     def __init__(self, program: ControlProgram, axes: tuple[str, ...]) -> None:
         self.failure: BaseException | None = None
-        native = entry_of(program)
+        native = getattr(program, "entry", None)  # of a NativeProgram
         if native is None:
             # kept as long as the program runs: the address is that of the object
             self._callback = _CALLBACK(self._step_of(program, len(axes)))
@@ -155,7 +155,7 @@ class RunningProgram:
         )
 
     def _step_of(self, program: ControlProgram, m: int) -> Callable[..., int]:
-        tell = teller(program)
+        tell = getattr(program, "schedule", None)  # of a ScheduledProgram
         along = law_of(program).scheduled_over or SPEED
 
         def step(first: object, errors: Any, told: Any, currents: Any) -> int:

@@ -139,6 +139,8 @@ class FilterBank:
             ),
         )
 
+    law = settings  # what is tuned
+
     def gradient(self, x: np.ndarray, slope: np.ndarray) -> np.ndarray:
         """df/dx (k,) from df/dTheta (m+n, p+n)."""
         settings = self.settings(x)

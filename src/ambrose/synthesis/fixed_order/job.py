@@ -4,6 +4,7 @@ that it starts from.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import cast
 
 import numpy as np
 import scipy.linalg as sla
@@ -65,6 +66,11 @@ class Job:
     before: list[Aims] | None = None
     members: set[tuple[str, tuple[tuple[str, float], ...]]] = field(default_factory=set)
     whole: list[LoopModel] = field(default_factory=list)  # of the full plants, where it judged them
+
+    @property
+    def bank(self) -> bool:
+        """Whether the chains of a filter bank are tuned: else matrices are."""
+        return self.structure in BANKS
 
 
 def prepare(
@@ -207,8 +213,9 @@ def first_laws(job: Job, start: Law, order: int | None, structure: str) -> tuple
     The lag of 400 Hz costs phase where the damping of rigid and bending modes comes from: it comes
     first where it holds all models, or comes nearer to it than the start itself.
     """
-    if structure in BANKS and isinstance(start, PidSettings):
-        return (first_bank(start, job.full[0].machine, structure, order, job.fastest),)
+    if structure in BANKS:
+        filters = cast(PidSettings, start)
+        return (first_bank(filters, job.full[0].machine, structure, order, job.fastest),)
     start = as_system(start, job.full[0].machine)
     plain = _of_order(job, start, order)
     late = job.timing is not None and fastest_pole(start) * job.timing.sample_time > 0.5 * np.pi

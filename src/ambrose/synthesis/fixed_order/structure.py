@@ -59,6 +59,8 @@ class Structure:
         """The controller of the unknowns."""
         return StateSpace(*self.matrices(x), self.inputs, self.outputs)
 
+    law = controller  # what is tuned
+
     def gradient(self, x: np.ndarray, slope: np.ndarray) -> np.ndarray:  # Theta is linear in x
         """df/dx (k,) from df/dTheta (m+n, p+n)."""
         return np.asarray((slope * self.scale)[self.free])

@@ -12,6 +12,7 @@ the full plants and on all the members that were found by the end, and the best 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import cast
 
 import numpy as np
 
@@ -445,13 +446,10 @@ def _improve(
 
 def _unknowns(job: Job, law: Law) -> tuple[Structure | FilterBank, np.ndarray]:
     """The structure of what is tuned, and its unknowns."""
-    if isinstance(law, PidSettings):
-        return filter_bank(law, job.full[0].machine, job.fastest)
-    return structured(law, job.groups)
-
-
-def _law(structure: Structure | FilterBank, x: np.ndarray) -> Law:
-    return structure.settings(x) if isinstance(structure, FilterBank) else structure.controller(x)
+    machine = job.full[0].machine
+    if job.bank:
+        return filter_bank(cast(PidSettings, law), machine, job.fastest)
+    return structured(as_system(law, machine), job.groups)
 
 
 def _limit(job: Job, law: Law) -> float:
@@ -461,7 +459,7 @@ def _limit(job: Job, law: Law) -> float:
     pole = fastest_pole(as_system(law, job.full[0].machine))
     fastest = FASTEST * max(pole, job.aims.highest)
     half = np.inf if job.timing is None else np.pi / job.timing.sample_time
-    if isinstance(law, PidSettings):  # whose poles end at their limit softly
+    if job.bank:  # whose poles end at their limit softly
         return min(max(fastest, job.fastest), max(half, pole))
     return min(fastest, half)
 
@@ -472,11 +470,11 @@ def _with_room(job: Job, law: Law) -> Law:
     Where a pole stands at the limit every step that moves it out is forbidden, however short: a
     search would end there at once.
     """
-    limit = _limit(job, law)
-    if isinstance(law, PidSettings) or fastest_pole(law) <= _CLOSE * limit:
+    limit, system = _limit(job, law), as_system(law, job.full[0].machine)
+    if job.bank or fastest_pole(system) <= _CLOSE * limit:
         return law
     for share in _SLOWED:
-        slower = slowed(law, share * limit)
+        slower = slowed(system, share * limit)
         structure, x = _unknowns(job, slower)
         if Objective(structure, job.models, np.array([100.0]), job.aims).abscissa(x) < 0:
             return slower
@@ -500,9 +498,9 @@ def _holding(job: Job, law: Law, enough: float = HOLDS) -> Law:
     The law itself where all poles are to the left of ``enough`` [rad/s].
     """
     before = np.inf
-    limit = _limit(job, law)
-    if isinstance(law, StateSpace) and fastest_pole(law) > limit:
-        law = slowed(law, _SLOWED[0] * limit)
+    limit, system = _limit(job, law), as_system(law, job.full[0].machine)
+    if not job.bank and fastest_pole(system) > limit:
+        law = slowed(system, _SLOWED[0] * limit)
     for attempt in range(_TRIES + 1):
         structure, x = _unknowns(job, law)
         cost = Objective(structure, job.models, np.array([100.0]), job.aims)
@@ -518,7 +516,7 @@ def _holding(job: Job, law: Law, enough: float = HOLDS) -> Law:
                 f"the start is not stable on every model ({abscissa:+.3g} rad/s): searching for "
                 "one that is"
             )
-        if isinstance(law, StateSpace):
+        if not job.bank:
             cost.fence = limit
         x, _ = descend(
             cost.unstable,
@@ -529,7 +527,7 @@ def _holding(job: Job, law: Law, enough: float = HOLDS) -> Law:
             lambda: job.clock.left > 0,
             least=-_DECAY / 100,
         )
-        law = _law(structure, x)
+        law = structure.law(x)
     if abscissa < 0:
         return law
     raise NumericalFailure(
@@ -607,7 +605,7 @@ def _descended(job: Job, law: Law, power: int) -> tuple[Law, int]:
             <= fastest
         )
 
-    if not isinstance(structure, FilterBank):
+    if not job.bank:
         cost.fence = _BEYOND * fastest
     x, used = descend(
         lambda v: cost(v, power),
@@ -618,8 +616,8 @@ def _descended(job: Job, law: Law, power: int) -> tuple[Law, int]:
         lambda: job.clock.left > 0,
         lambda v: cost.narrow(v, power),
     )
-    law = _law(structure, x)
-    if isinstance(law, StateSpace) and (settled := without_drift(law)) is not law:
+    law, system = structure.law(x), structure.controller(x)
+    if not job.bank and (settled := without_drift(system)) is not system:
         law, (structure, x) = settled, _unknowns(job, settled)
         cost = Objective(structure, job.models, cost.omega, job.aims, job.reference)
     poles = cost.poles(x)
@@ -658,28 +656,29 @@ def _grown(job: Job, best: _Round, rounds: list[_Round]) -> StateSpace | None:
     None where all is met, where more are not allowed, and where a round with more states was not
     better: they did not help.
     """
-    if job.most_states is None or best.worst <= 1 or not isinstance(best.law, StateSpace):
+    law = as_system(best.law, job.full[0].machine)
+    if job.most_states is None or best.worst <= 1:
         return None
-    more = len(best.law.inputs)
-    if best.law.n_states + more > job.most_states:
+    more = len(law.inputs)
+    if law.n_states + more > job.most_states or _most_tried(job, rounds) > law.n_states:
         return None
-    if any(
-        item.law.n_states > best.law.n_states for item in rounds if isinstance(item.law, StateSpace)
-    ):
-        return None
-    job.say(f"not met with {best.law.n_states} states ({best.worst:.3f}): {more} more")
-    return with_states(best.law, more, job.groups)
+    job.say(f"not met with {law.n_states} states ({best.worst:.3f}): {more} more")
+    return with_states(law, more, job.groups)
+
+
+def _most_tried(job: Job, rounds: Sequence[_Round]) -> int:
+    return max(as_system(item.law, job.full[0].machine).n_states for item in rounds)
 
 
 def _tried(job: Job, best: _Round, rounds: Sequence[_Round]) -> int | None:
     """How many states were tried without better success, or are the most that are tried; None where
     more may help.
     """
-    if job.most_states is None or not isinstance(best.law, StateSpace):
+    if job.most_states is None:
         return None
-    most = max(item.law.n_states for item in rounds if isinstance(item.law, StateSpace))
-    at_end = most + len(best.law.inputs) > job.most_states
-    return most if at_end or most > best.law.n_states else None
+    law, most = as_system(best.law, job.full[0].machine), _most_tried(job, rounds)
+    at_end = most + len(law.inputs) > job.most_states
+    return most if at_end or most > law.n_states else None
 
 
 def without_drift(law: StateSpace) -> StateSpace:
@@ -883,7 +882,8 @@ def _result(
         for name, words in guards.items()
         if ratios[name].value >= _BINDS
     ]
-    if isinstance(best.law, PidSettings) and (ends := at_limits(best.law, machine, job.fastest)):
+    filters = cast(PidSettings, best.law) if job.bank else None
+    if filters is not None and (ends := at_limits(filters, machine, job.fastest)):
         notes.append(f"at a limit of the search: {'; '.join(ends)}")
     status = Status.VERIFIED if certificate.stable else Status.UNSTABLE
     return Synthesis(
@@ -895,5 +895,5 @@ def _result(
         history,
         tuple(notes),
         stopped_early=reason,
-        filters=best.law if isinstance(best.law, PidSettings) else None,
+        filters=filters,
     )

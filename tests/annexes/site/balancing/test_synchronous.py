@@ -16,10 +16,10 @@ from ambrose.annexes.site.balancing_vectors import (
     grown,
     read_amplitudes,
 )
+from ambrose.annexes.synchronous.block_loop import Condition, forward_patterns, synchronous_loop
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.law.pid import pid_controller
-from ambrose.law.synchronous import Condition, forward_patterns, synchronous_loop
 from ambrose.law.synchronous_block import BlockLaw, SynchronousBlock, SynchronousLaw
 from ambrose.machine.file.toml import load_machine
 from ambrose.machine.part import Synchronous
@@ -266,11 +266,11 @@ def test_one_hold_on_the_rig_falls_by_30_db_and_tells_93_percent_of_the_unbalanc
     """
     from benchmarks.compiled_synchronous import CompiledSynchronous
 
-    from ambrose.law.synchronous import running_law
+    from ambrose.annexes.synchronous.block_design import design_synchronous
+    from ambrose.annexes.synchronous.block_loop import running_law
+    from ambrose.annexes.synchronous.running import synchronous_program
     from ambrose.rig.scenario import Scenario, Unbalance
-    from ambrose.rig.synchronous import synchronous_program
     from ambrose.rig.virtual_rig import run
-    from ambrose.synthesis.synchronous_design import design_synchronous
 
     machine = load_machine("flywheel")
     law = pid_controller(machine.reference, machine)

@@ -21,11 +21,11 @@ from functools import cached_property
 
 import numpy as np
 
+from ambrose.annexes.synchronous.block_loop import Condition, SynchronousLoop
 from ambrose.core.frequency import SchurForm, evaluate, schur_form
 from ambrose.core.statespace import StateSpace
 from ambrose.core.synchronous import around_resonators, turn_map_of, with_resonators
 from ambrose.judge.loop_response import frequency_grid
-from ambrose.law.synchronous import Condition, SynchronousLoop
 
 # A loop with synchronous blocks on, at one speed: its sensitivity as it is measured in operation
 # (ISO 14839-3), how near to instability it is, and its exact poles.

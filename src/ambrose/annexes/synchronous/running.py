@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from ambrose.annexes.synchronous.block_loop import running_law, synchronous_loop
 from ambrose.core.checks import InvalidInput
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import corners, grid_points, interval_points
 from ambrose.core.statespace import StateSpace
 from ambrose.law.law import Law
 from ambrose.law.loop import Timing, match_axes
-from ambrose.law.synchronous import running_law, synchronous_loop
 from ambrose.law.synchronous_block import BlockState, SynchronousBlock, SynchronousLaw, key_phasor
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
@@ -178,16 +178,6 @@ class ScheduledSynchronousProgram(SynchronousProgram):
     def __call__(self, value: Any) -> StateSpace:
         """The law at a value, frozen."""
         return self.over.at(value)
-
-
-def blocks_of(machine: Machine, law: Law) -> tuple[Synchronous, ...]:
-    """The blocks that run beside a law: its own, else those of the machine file; none beside a
-    program of its own.
-    """
-    settings = machine.controller
-    if law.synchronous or law.program is not None or settings is None:
-        return law.synchronous
-    return settings.synchronous
 
 
 def beside_law(

@@ -16,44 +16,21 @@ orbit, current and force.
 
 The margin concerns small gains: Herm(T S) > 0 (core/interval_proof.py) for a loop that is stable
 without the block, which the other tables judge. A finite eps, and the sensitivity, are searched
-over the speeds of the band and refined (judge/synchronous_speeds.py), with exact poles at the worst
-(a block that moves once a turn: by its multipliers over one). Unbalance is the residual one
+over the speeds of the band and refined (speeds.py), with exact poles at the worst (a block that
+moves once a turn: by its multipliers over one). Unbalance is the residual one
 of the balance grade in the bearing planes, the worst case over how forward forces share it.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput
-from ambrose.core.interval_proof import IntervalProof
-from ambrose.core.statespace import spectral_abscissa
-from ambrose.core.synchronous import (
-    borders,
-    convergence,
-    convergence_angle,
-    largest_stable,
-    sector_angle,
-)
-from ambrose.judge.checks import Check, Checks, Curve, information, judge
-from ambrose.judge.synchronous_speeds import (
-    MINUTE,
-    SETTLED,
-    Least,
-    Resonator,
-    Survey,
-    bases,
-    growth_by_gain,
-    least,
-    resonator,
-    survey,
-)
-from ambrose.law.law import LawLike
-from ambrose.law.synchronous import (
+from ambrose.annexes.synchronous.block_loop import (
     BlockTable,
     Condition,
     Converged,
@@ -67,9 +44,34 @@ from ambrose.law.synchronous import (
     running_table,
     synchronous_loop,
 )
+from ambrose.annexes.synchronous.speeds import (
+    MINUTE,
+    SETTLED,
+    Least,
+    Resonator,
+    Survey,
+    bases,
+    growth_by_gain,
+    least,
+    resonator,
+    survey,
+)
+from ambrose.core.checks import AmbroseError, InvalidInput
+from ambrose.core.interval_proof import IntervalProof
+from ambrose.core.statespace import spectral_abscissa
+from ambrose.core.synchronous import (
+    borders,
+    convergence,
+    convergence_angle,
+    largest_stable,
+    sector_angle,
+)
+from ambrose.judge.checks import Check, Checks, Curve, information, judge
+from ambrose.law.law import LawLike
+from ambrose.law.pid import pid_controller
 from ambrose.machine.criteria import CLEARANCE, TWO_PI, Demand, demand
 from ambrose.machine.machine import Machine
-from ambrose.machine.part import Synchronous
+from ambrose.machine.part import PidSettings, Synchronous
 from ambrose.model.static_load import Unbalance, residual_unbalance
 from ambrose.model.uncertainty import tolerances_around
 
@@ -297,6 +299,7 @@ class BlockLoop:
     conditions: tuple[Condition, ...]
     running: BlockTable
     others: tuple[BlockLoop, ...] = ()
+    vanished: ClassVar[float] = VANISHED
 
     def resonator(self, speed: float) -> Resonator:
         """The block at a speed [rad/s]."""
@@ -812,3 +815,39 @@ def _sensitivity_curve(found: Survey, limit: float | None) -> Curve:
         "-",
         () if limit is None else (("limit", limit),),
     )
+
+
+_RPM = 30 / np.pi  # rpm per rad/s
+
+
+def block_doubts(machine: Machine, settings: PidSettings) -> Iterator[str]:
+    """Blocks that drive away what they are to bring to zero, under the reference controller at both
+    ends and the middle of their bands: a T with the wrong sign or angle.
+    """
+    law = pid_controller(settings, machine)
+    for i, item in enumerate(block_loops(machine, law, settings.synchronous), 1):
+        speeds = item.speeds(3).tolist()
+        try:
+            first = item.conditions[0]
+            lost = [w for w in speeds if spectral_abscissa(item.loop.sampled(w, first)) >= 0]
+            if lost:  # no fault of T
+                yield (
+                    f"[[controller.synchronous]] {i}: without the block the [controller] does not "
+                    f"hold the rotor at {lost[0] * _RPM:,.5g} rpm, in the block's band; tune it "
+                    "first"
+                )
+                continue
+            seen = [item.loop.signals(item.mode, w, first) for w in speeds]
+            # da/dt = -eps T R a converges where every eigenvalue of T R has a positive real part
+            real = [
+                float(convergence(item.running.at(w), response))
+                for w, response in zip(speeds, seen, strict=True)
+            ]
+        except AmbroseError:  # no model at one of them, which verify says
+            continue
+        if max(real) < 0:
+            yield (
+                f"[[controller.synchronous]] {i}: {item.mode} with this T drives away what it is "
+                f"to bring to zero at all of {', '.join(f'{w * _RPM:,.5g}' for w in speeds)} rpm; "
+                "check the sign and the angle of T, 180 degrees are a wrong sign"
+            )

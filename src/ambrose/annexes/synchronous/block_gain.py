@@ -6,9 +6,7 @@ from itertools import groupby
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput
-from ambrose.core.synchronous import best_inverse, convergence, largest_stable, sector_angle
-from ambrose.judge.synchronous import (
+from ambrose.annexes.synchronous.block_checks import (
     Forbidden,
     converged_at,
     forbidden_bands,
@@ -16,7 +14,14 @@ from ambrose.judge.synchronous import (
     unbalance_of,
     worst_signal,
 )
-from ambrose.judge.synchronous_speeds import (
+from ambrose.annexes.synchronous.block_loop import (
+    BlockTable,
+    Condition,
+    SynchronousLoop,
+    block_of,
+    running_table,
+)
+from ambrose.annexes.synchronous.speeds import (
     MINUTE,
     SETTLED,
     Look,
@@ -29,7 +34,8 @@ from ambrose.judge.synchronous_speeds import (
     survey,
     zeros,
 )
-from ambrose.law.synchronous import BlockTable, Condition, SynchronousLoop, block_of, running_table
+from ambrose.core.checks import InvalidInput
+from ambrose.core.synchronous import best_inverse, convergence, largest_stable, sector_angle
 from ambrose.machine.criteria import demand
 from ambrose.machine.part import Synchronous
 

@@ -27,11 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, check_positive, invalid
-from ambrose.core.presentation import Presented
-from ambrose.core.statespace import spectral_abscissa
-from ambrose.core.synchronous import sector_angle
-from ambrose.judge.synchronous import (
+from ambrose.annexes.synchronous.block_checks import (
     Forbidden,
     converged_at,
     forbidden_bands,
@@ -39,8 +35,19 @@ from ambrose.judge.synchronous import (
     unbalance_of,
     worst_orbits,
 )
-from ambrose.law.law import LawLike
-from ambrose.law.synchronous import (
+from ambrose.annexes.synchronous.block_gain import (
+    MODE as DAMPING,
+    SHARE,
+    TURNS,
+    clear_parts,
+    damping_blocks,
+    gain_limit,
+    sensitive_gain,
+    sensitive_table,
+    usable_tables,
+    within_sensitivity,
+)
+from ambrose.annexes.synchronous.block_loop import (
     MODES,
     BlockTable,
     Condition,
@@ -54,23 +61,16 @@ from ambrose.law.synchronous import (
     running_table,
     synchronous_loop,
 )
+from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.core.presentation import Presented
+from ambrose.core.statespace import spectral_abscissa
+from ambrose.core.synchronous import sector_angle
+from ambrose.law.law import LawLike
 from ambrose.machine.criteria import TWO_PI
 from ambrose.machine.machine import Machine
 from ambrose.machine.part import SYNCHRONOUS_UPDATES, Synchronous
 from ambrose.model.plant import top_speed
 from ambrose.options import Rejecting
-from ambrose.synthesis.synchronous_gain import (
-    MODE as DAMPING,
-    SHARE,
-    TURNS,
-    clear_parts,
-    damping_blocks,
-    gain_limit,
-    sensitive_gain,
-    sensitive_table,
-    usable_tables,
-    within_sensitivity,
-)
 
 Progress = Callable[[str], None]
 _LOWEST = 0.1  # of the top speed: where the band begins by default
@@ -112,6 +112,16 @@ class SynchronousDesign(Presented):
             "time_constant": f"{2 / self.gain:.3g} s" if self.gain else "none",
             **({"notes": self.notes} if self.notes else {}),
         }
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """The bands left out, each with its replacement, as a sentence's part."""
+        instead = {"off": "off there", "damping": "damping there"}
+        return tuple(
+            f"{item}; {instead.get(item.replacement, 'nothing keeps the limit there')} "
+            f"({item.low / TWO_PI:.4g} to {item.high / TWO_PI:.4g} Hz)"
+            for item in self.forbidden
+        )
 
     @property
     def _angle_name(self) -> str:
@@ -458,14 +468,6 @@ def _off_or_nothing(
             replace(item, low=low, high=high, without=alone, replacement="" if own else "off")
         )
     return pieces
-
-
-def in_words(item: Forbidden) -> str:
-    """A band left out, with its replacement, as a sentence's part."""
-    instead = {"off": "off there", "damping": "damping there"}.get(
-        item.replacement, "nothing keeps the limit there"
-    )
-    return f"{item}; {instead} ({item.low / TWO_PI:.4g} to {item.high / TWO_PI:.4g} Hz)"
 
 
 def check_request(asked: Rejecting, method: str, machine: Machine) -> None:
