@@ -631,8 +631,8 @@ def _log(rig: Any, work: Any, z: Any, y: Any, u: Any, row: Any) -> None:
 
 
 def entry_points(fingerprint: int) -> tuple[Any, Any]:
-    """``advance`` and ``slopes``, compiled; kept on disk for the next process under a fingerprint of
-    all that they contain.
+    """``advance`` and ``slopes``, compiled; kept on disk for the next process under a fingerprint
+    of all that they contain.
 
     Numba's own cache sees changes of this file only, and not of the force functions that are
     compiled into it.
