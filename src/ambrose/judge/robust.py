@@ -540,7 +540,7 @@ def _performance(
         if peak.upper < 1
         else f"it holds for {1 / peak.upper:.3g} of box and weights"
     )
-    detail = f"lower bound {peak.lower:.4g}, {peak.frequency / TWO_PI:.4g} Hz; {holds}"
+    detail = f"lower bound {peak.lower:.3g}, {peak.frequency / TWO_PI:.4g} Hz; {holds}"
     curve = Curve(
         "robust.mu",
         "Structured singular value of the weighted loop",
