@@ -420,6 +420,16 @@ class Synthesis(Presented, Law):
             found = "'verified' with a certificate that does not say stable"
             raise invalid("status", found, "one that says it", "design the controller again")
 
+    @property
+    def interrupted(self) -> bool:
+        """Whether its design was ended by Ctrl-C, and is not gone on with."""
+        return (self.stopped_early or "").endswith(INTERRUPTED)
+
+    @property
+    def certified(self) -> Synthesis:
+        """Itself: what is compared before its certificate is made has one, too."""
+        return self
+
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Synthesis):
             return NotImplemented

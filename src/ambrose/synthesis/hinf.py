@@ -447,18 +447,13 @@ class Iterates(Protocol):
     """
 
     @property
-    def controller(self) -> StateSpace: ...
+    def controller(self) -> Any: ...
 
     @property
     def interrupted(self) -> bool: ...
 
     @property
     def certified(self) -> Synthesis: ...
-
-
-def certified(made: Synthesis | Iterates) -> Synthesis:
-    """The controller with its certificate."""
-    return made if isinstance(made, Synthesis) else made.certified
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -520,7 +515,7 @@ def tune_control_weight(
     plant: Plant | GeneralizedPlant,
     weights: Weights,
     reference_controller: Any,
-    synthesize: Callable[[GeneralizedPlant], Synthesis | Iterates],
+    synthesize: Callable[[GeneralizedPlant], Iterates],
     *,
     uncertain: bool = True,
     tolerance: float = 0.02,
@@ -536,14 +531,14 @@ def tune_control_weight(
     converged False. Raises what ``synthesize`` raises for the weights it is first given.
     """
     check_positive(tolerance, "tolerance", "0.02 is 2 % of gain")
-    trials: dict[float, tuple[Synthesis | Iterates, float]] = {}
+    trials: dict[float, tuple[Iterates, float]] = {}
 
     def mismatch(x: float) -> float:
         made = synthesize(
             design_plant(plant, scale_control(weights, float(np.exp(x))), uncertain=uncertain)
         )
         trials[x] = made, direct_gain_mismatch(made.controller, reference_controller)[0]
-        if not isinstance(made, Synthesis) and made.interrupted:
+        if made.interrupted:
             raise KeyboardInterrupt
         return trials[x][1]
 
@@ -556,7 +551,7 @@ def tune_control_weight(
         interrupted = True
     x = min(trials, key=lambda key: abs(trials[key][1]))
     made, mean = trials[x]
-    found = certified(made)
+    found = made.certified
     if interrupted:
         found = replace(found, stopped_early=f"the search for its control weight was {INTERRUPTED}")
     history = tuple(

@@ -104,13 +104,6 @@ class Lowered(Method):
 # What H-infinity, mu and polished mu share: the machine's weights, and a reduced design model.
 
 
-def interrupted(result: Synthesis) -> bool:
-    """Whether a design was ended by Ctrl-C, and does not go on."""
-    from ambrose.judge.result import INTERRUPTED
-
-    return (result.stopped_early or "").endswith(INTERRUPTED)
-
-
 SCALING_ORDER = 1  # d(s) I of first order for mu: 20 -> 24 states on the seal rig, as in P5
 
 
@@ -143,7 +136,7 @@ class Weighted(Lowered):
     )
 
     @abstractmethod
-    def minimise(self, problem: GeneralizedPlant, progress: Progress) -> Synthesis | Iterates:
+    def minimise(self, problem: GeneralizedPlant, progress: Progress) -> Iterates:
         """The controller of a design problem."""
 
     def refine(
@@ -186,7 +179,7 @@ class Weighted(Lowered):
         result, peak = self._designed(plant, weights, matched, progress)
         quantity = "maximum singular value of a sensitivity"
         limit = demand(quantity, machine.requirements).limit or SENSITIVITY.limits[0].value
-        if not matched or self.match_reference or peak <= limit or interrupted(result):
+        if not matched or self.match_reference or peak <= limit or result.interrupted:
             return result
 
         # comparable gains were nobody's wish: the file's own weights, where they do better
@@ -208,7 +201,7 @@ class Weighted(Lowered):
         from ambrose.law.design_problem import design_plant
         from ambrose.law.pid import pid_controller
         from ambrose.model.uncertainty import reduce
-        from ambrose.synthesis.hinf import certified, direct_gain_mismatch
+        from ambrose.synthesis.hinf import direct_gain_mismatch
 
         machine, timing = plant.machine, self.timing()
         model, uncertain = self.design_model(plant)
@@ -220,7 +213,7 @@ class Weighted(Lowered):
             result, weights = _as_strong(model, weights, reference, self, uncertain, progress)
         else:
             problem = design_plant(model, weights, uncertain=uncertain)
-            result = certified(self.minimise(problem, progress))
+            result = self.minimise(problem, progress).certified
         result = self.refine(result, model, weights, plant, progress)
         if timing is not None:
             nominal = design_plant(reduce(plant, self.bending_modes or 0), weights, uncertain=False)
@@ -335,7 +328,7 @@ class Hinf(Spanning):
         """Whether the machine file has [weights]."""
         return plant.machine.weights is not None
 
-    def minimise(self, problem: GeneralizedPlant, progress: Progress) -> Synthesis | Iterates:
+    def minimise(self, problem: GeneralizedPlant, progress: Progress) -> Iterates:
         from ambrose.synthesis.hinf import hinf_synthesis
 
         return mu_controller(problem, progress) if self.envelope else hinf_synthesis(problem)
@@ -440,7 +433,7 @@ class Polish(Weighted):
         from ambrose.synthesis.fixed_order.polish import JUDGED_ROUNDS, polish_synthesis
         from ambrose.synthesis.order_selection import sampled_sensitivity
 
-        if interrupted(start):
+        if start.interrupted:
             return replace(start, notes=(*start.notes, "not polished: it was interrupted before"))
         timing = self.timing()
         judge = None
