@@ -188,14 +188,14 @@ def _scipy(
     drive = stretch(task, 0, task.samples)
     law = sampled_law(PID, MACHINE, DT, 0.0, 1)
     z, x, held = levitated_state(rig, drive, law)
-    C, slope, work, dz = measurement(rig), compiled()[1], rig.work(), np.zeros(rig.states)
+    C, slopes, work, dz = measurement(rig), compiled()[1], rig.work(), np.zeros((1, rig.states))
     now, plain = np.zeros(len(rig.axes)), _in_python(rig, drive)
 
     def derivative(_: float, state: np.ndarray) -> np.ndarray:
         if not with_ours:
             return plain(state, now)
-        slope(rig.constants, drive, 0, now, state, work, dz)
-        return dz.copy()  # RK23 keeps what it got: the same array would change under it
+        slopes(rig.constants, drive, 0, now[None], state[None], work, dz)
+        return dz[0].copy()  # RK23 keeps what it got: the same array would change under it
 
     atol = np.full(rig.states, 1e-12)
     atol[2 * rig.modes :] = 1e-9
