@@ -130,7 +130,8 @@ def test_a_polished_controller_says_how_its_start_ended(monkeypatch):
     """Polishing hid it: only its own status was left."""
     plant = assemble(load_machine("seal-rig"))
     held = pid_synthesis(plant)
-    begun = SimpleNamespace(controller=held.controller, finish=lambda: stopped(held))
+    ended = stopped(held)
+    begun = SimpleNamespace(controller=held.controller, interrupted=False, certified=ended)
     monkeypatch.setattr(mu, "mu_iterates", lambda model, **_: begun)
     monkeypatch.setattr(polish, "polish_synthesis", lambda model, start, **_: held)
     found = design.design(plant, "polish", match_reference=False)
