@@ -633,8 +633,8 @@ def follow(
 ) -> AlongSpeed:
     """A closed loop, of the same states at any speed [rad/s], at every one of speeds (s,),
     ascending, and at those that are added. critical: whether critical speeds are looked for.
-    whole_at: the loop of which ``loop_at`` is a smaller model, that shows where to look: its own
-    poles decide at every one of speeds, and at those that are added where they may be outermost.
+    whole_at: the loop of which ``loop_at`` is a smaller model: that one says which speeds are
+    added, and the whole one's poles are those of every speed.
     """
     known: dict[float, _Modes] = {}
 
@@ -694,38 +694,11 @@ def follow(
             _critical(at, (low, start[k]), (high, end[k])) for k in np.flatnonzero(light & passes)
         ]
     found_at = np.array(sorted(known))
-    abscissa = np.array([known[w].poles.real.max() for w in found_at])
-    if whole_at is not None:
-        whole = whole_at  # asked for below
-
-        def outermost(k: int) -> float:
-            return spectral_abscissa(whole(float(found_at[k])))
-
-        given = np.flatnonzero(np.isin(found_at, speeds)).tolist()
-        of_whole(abscissa, given, outermost, most=len(given) + _MOST)
+    if whole_at is None:
+        abscissa = np.array([known[w].poles.real.max() for w in found_at])
+    else:
+        abscissa = np.array([spectral_abscissa(whole_at(float(w))) for w in found_at])
     return AlongSpeed(found_at, abscissa, tuple(sorted(found)))
-
-
-def of_whole(
-    abscissa: np.ndarray, first: Sequence[int], whole: Callable[[int], float], most: int = 40
-) -> int:
-    """In place: the abscissa (k,) [rad/s] of loops of smaller models raised to that of the whole
-    ones, ``whole``(number), of the ``first``, the largest other and wherever it may be larger yet,
-    or not negative. How many were asked, ``most`` at most.
-
-    From a smaller model to the whole one none is assumed to rise by more than those known did.
-    """
-    highest = rise = -np.inf
-    order = dict.fromkeys([*first, *np.argsort(-abscissa, kind="stable").tolist()])
-    for asked, i in enumerate(order):
-        limit = min(0.0, highest) * (1 - _SAME_ALONG_SPEED)
-        if asked > len(first) and (asked >= most or abscissa[i] + rise <= limit):
-            return asked
-        own = whole(i)
-        rise = max(rise, own - abscissa[i], 0.0)
-        abscissa[i] = max(abscissa[i], own)
-        highest = max(highest, float(abscissa[i]))
-    return len(order)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

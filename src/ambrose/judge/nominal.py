@@ -407,11 +407,10 @@ def check(
     range of ISO 14839-3). progress(stage, fraction) is called between stages. plant_at(speed
     [rad/s]) -> Plant: with it stability and unbalance are checked along the machine's speed range
     with the rotor assembled anew at every speed, under law_at(plant) (None: ``controller``), over
-    the speeds covered [rad/s] (None: the whole range); small_at: a smaller plant at a speed, whose
-    poles show at which speeds those of plant_at may be the outermost (None: at all). An unstable
-    loop yields stable=False, the check "stability.abscissa" that names its poles, and the pole
-    curve. Raises InvalidInput for a controller of the wrong size or a grid that does not ascend
-    from a positive frequency.
+    the speeds covered [rad/s] (None: the whole range); small_at: a smaller plant at a speed, which
+    says where speeds are added (None: plant_at does). An unstable loop yields stable=False, the
+    check "stability.abscissa" that names its poles, and the pole curve. Raises InvalidInput for a
+    controller of the wrong size or a grid that does not ascend from a positive frequency.
     """
     tell = progress or (lambda stage, fraction: None)
     requirements = plant.machine.requirements if requirements is None else requirements

@@ -30,7 +30,6 @@ from ambrose.core.sampling import held
 from ambrose.core.statespace import StateSpace, check_loop
 from ambrose.core.worst_case_loop import box_points
 from ambrose.judge import nominal
-from ambrose.judge.campbell import of_whole
 from ambrose.judge.checks import Check, Checks, box_label, information, judge
 from ambrose.judge.loop_response import half_order_share, solid_cores
 from ambrose.law.design_problem import open_model
@@ -304,6 +303,9 @@ def sampled_box(
     return SampledBox(controller, names, s, owner, few, chords, law)
 
 
+# points of the box at most at which the eigenvalues of the full plant's loop are computed, and the
+# part of the outermost pole's real part by which others may be farther out unseen
+_FULL_POINTS, _AS_FAR = 40, 1e-3
 _STARTS = 3  # of the search inside the box, besides the nominal point
 _BENDING = re.compile(r"rotor\.bending_(\d+)\.")
 _MANY = 32  # members from which on it is worth a look where none can have a high gain
@@ -500,6 +502,31 @@ class _FullPoles:
                 new, self.box.closed_loop_poles(np.array([*new.values()])), strict=True
             )
         return [self._known[point.tobytes()] for point in points]
+
+
+def of_whole(
+    abscissa: np.ndarray,
+    first: Sequence[int],
+    whole: Callable[[int], float],
+    most: int = _FULL_POINTS,
+) -> int:
+    """In place: the abscissa (k,) [rad/s] of loops of smaller models raised to that of the whole
+    ones, ``whole``(number), of the ``first``, the largest other and wherever it may be larger yet,
+    or not negative. How many were asked, ``most`` at most.
+
+    From a smaller model to the whole one none is assumed to rise by more than those known did.
+    """
+    highest = rise = -np.inf
+    order = dict.fromkeys([*first, *np.argsort(-abscissa, kind="stable").tolist()])
+    for asked, i in enumerate(order):
+        limit = min(0.0, highest) * (1 - _AS_FAR)
+        if asked > len(first) and (asked >= most or abscissa[i] + rise <= limit):
+            return asked
+        own = whole(i)
+        rise = max(rise, own - abscissa[i], 0.0)
+        abscissa[i] = max(abscissa[i], own)
+        highest = max(highest, float(abscissa[i]))
+    return len(order)
 
 
 def _alike(light: Sequence[np.ndarray]) -> list[list[int]]:
