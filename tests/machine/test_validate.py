@@ -40,6 +40,14 @@ def test_a_good_machine_has_no_problems():
     check_machine(SMALL)
 
 
+@pytest.mark.parametrize("wrong", [{"position": NAN}, {"force_per_current": (1.0, 1e70)}])
+def test_what_is_refused_is_refused_again(wrong):
+    """Numbers that were found good are not looked at twice; those of a refused part are."""
+    bearings = (replace(SMALL.bearings[0], **wrong), SMALL.bearings[1])
+    first, again = (refused(lambda: replace(SMALL, bearings=bearings)) for _ in range(2))
+    assert first == again and len(first) == 1
+
+
 def test_the_least_machine():
     """A free rotor is a machine, too."""
     free = Machine("free", (ShaftSection(0.0, 1.0, 0.1),), (), ())
